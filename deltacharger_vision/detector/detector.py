@@ -9,42 +9,29 @@ A pose without visible outlines, or contradicted by depth, is not returned.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
-from deltacharger_core.parameters import Bounded, number
 from deltacharger_vision.detector.detection import Detection
-from deltacharger_vision.detector.judgement import Candidate, JudgementSettings
-from deltacharger_vision.detector.pairing import Pair, PairingSettings, find_cut_pairs, find_pairs
+from deltacharger_vision.detector.judgement import FOCAL_ERROR, Candidate
+from deltacharger_vision.detector.pairing import Pair, find_cut_pairs, find_pairs
 from deltacharger_vision.detector.parts import PartsJudge
-from deltacharger_vision.detector.segmentation import SegmentationSettings, find_blobs, find_pieces
+from deltacharger_vision.detector.segmentation import find_blobs, find_pieces
 from deltacharger_vision.errors import CameraInfoError
-from deltacharger_vision.images import LIGHT, Intrinsics, RgbdImage
+from deltacharger_vision.images import DEPTH_BIAS, LIGHT, NEAREST_DEPTH, Intrinsics, RgbdImage
 from deltacharger_vision.mount import line_angle
 from deltacharger_vision.poses import cross_matrix
 from deltacharger_vision.projection import check_lens, project
 from deltacharger_vision.terminal import Terminal
 
+_SMOOTHING = 0.6  # px, standard deviation of the blur before edges are searched
+_SURE = 0.8  # confidence at which the search ends
+_NORMAL_STDDEV = 0.06  # rad, largest standard deviation of a reported normal
+
 _LARGEST = 1_100_000  # px that are searched, such as 1280 × 800: time and memory are those of a small image
 _APART = 4.0  # standard deviations beyond which two poses differ
 _LINEAR = (255.0 * LIGHT).astype(np.float32)
-
-
-@dataclass(frozen=True)
-class DetectorSettings(Bounded):
-    """Numbers of the detector; its parts have their own settings.
-
-    Raises:
-        ParameterError: a value is out of bounds.
-    """
-
-    smoothing: float = number(0.6, 0.1, 5.0, "px", "standard deviation of the blur before edges are searched")
-    sure: float = number(0.8, 0.0, 1.0, "", "confidence at which the search ends")
-    normal_stddev: float = number(0.06, 0.001, 1.0, "rad", "largest standard deviation of a reported normal")
-    segmentation: SegmentationSettings = field(default_factory=SegmentationSettings)
-    pairing: PairingSettings = field(default_factory=PairingSettings)
-    judgement: JudgementSettings = field(default_factory=JudgementSettings)
 
 
 class ElectrodeDetector:
@@ -52,12 +39,15 @@ class ElectrodeDetector:
 
     Args:
         terminal: size of the bars.
-        settings: limits.
+        stereo_range: least distance (m) at which depth counts.
+        depth_bias: standard deviation of the relative error of all depth, and of its change per unit ray.
     """
 
-    def __init__(self, terminal: Terminal | None = None, settings: DetectorSettings | None = None) -> None:
+    def __init__(
+        self, terminal: Terminal | None = None, stereo_range: float = NEAREST_DEPTH, depth_bias: float = DEPTH_BIAS
+    ) -> None:
         self.terminal = terminal or Terminal()
-        self.settings = settings or DetectorSettings()
+        self._stereo_range, self._depth_bias = stereo_range, depth_bias
 
     def detect(self, image: RgbdImage) -> Detection | None:
         """Return the terminal with the best support in the image, or None. Deterministic.
@@ -67,17 +57,17 @@ class ElectrodeDetector:
         """
         import cv2
 
-        settings, intrinsics = self.settings, image.intrinsics
+        intrinsics = image.intrinsics
         image = _reduced(image)
-        too_near = image.depth < settings.judgement.stereo_range
+        too_near = image.depth < self._stereo_range
         image = replace(image, depth=np.where(too_near, np.float32(np.nan), image.depth))
         grey = np.asarray(cv2.cvtColor(image.color, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
         # An edge lies at half the light, not at half its encoded value.
-        smooth = cv2.GaussianBlur(cv2.LUT(grey, _LINEAR), (0, 0), settings.smoothing)
+        smooth = cv2.GaussianBlur(cv2.LUT(grey, _LINEAR), (0, 0), _SMOOTHING)
         check_lens(image.intrinsics)
-        judge = PartsJudge(smooth, image, self.terminal, settings.judgement)
+        judge = PartsJudge(smooth, image, self.terminal, self._stereo_range, self._depth_bias)
         best: Candidate | None = None
-        for pair in find_pairs(find_blobs(grey, settings.segmentation), self.terminal, settings.pairing):
+        for pair in find_pairs(find_blobs(grey), self.terminal):
             if best is not None and self._covers(best, pair, image.intrinsics):
                 continue
             try:
@@ -86,7 +76,7 @@ class ElectrodeDetector:
                 continue
             if candidate is not None and (best is None or candidate.confidence > best.confidence):
                 best = candidate
-                if best.confidence >= settings.sure:
+                if best.confidence >= _SURE:
                     break
         if best is None:
             best = self._in_pieces(image, judge)
@@ -94,9 +84,9 @@ class ElectrodeDetector:
 
     def _in_pieces(self, image: RgbdImage, judge: PartsJudge) -> Candidate | None:
         """Return a partly hidden terminal, or None if two poses explain the image."""
-        settings, found = self.settings, []
-        pieces = find_pieces(image.color, settings.segmentation)
-        for pair in find_cut_pairs(pieces, self.terminal, settings.pairing):
+        found = []
+        pieces = find_pieces(image.color)
+        for pair in find_cut_pairs(pieces, self.terminal):
             try:
                 found += judge.judge_cut(pair)
             except CameraInfoError:
@@ -119,11 +109,11 @@ class ElectrodeDetector:
         turning = cross_matrix(pose.rotation[:, 2])
         spread = turning @ found.covariance[3:, 3:] @ turning.T
         # If expected depth is missing, two tilts in a hundred are off by far more than the edges show.
-        checked = found.fused or pose.translation[2] < self.settings.judgement.stereo_range
-        known = math.sqrt(float(np.linalg.eigvalsh(spread)[-1])) <= self.settings.normal_stddev
+        checked = found.fused or pose.translation[2] < self._stereo_range
+        known = math.sqrt(float(np.linalg.eigvalsh(spread)[-1])) <= _NORMAL_STDDEV
         covariance = found.covariance.copy()
         # A longer focal length moves everything away in proportion, and nothing aside.
-        covariance[2, 2] += (self.settings.judgement.calibration * pose.translation[2]) ** 2
+        covariance[2, 2] += (FOCAL_ERROR * pose.translation[2]) ** 2
         return Detection(
             position=pose.translation,
             roll=roll,

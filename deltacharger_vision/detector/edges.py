@@ -10,10 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array, Mask
-from deltacharger_core.parameters import Bounded, number
 from deltacharger_vision.detector.outlines import Lines
 from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.projection import rays
+
+EDGE_SEARCH = 5.0  # px, first search distance on either side of a line's expected position
+EDGE_FOLLOW = 2.5  # px, search distance once the pose has been refined
+_CONTRAST = 1.0  # least step of light within a pixel, of 255
+_SHARE = 0.3  # least step as a share of the median step
 
 SAMPLES = 24
 """Places per line."""
@@ -24,20 +28,6 @@ _PULL = 0.3  # of the peak
 _SATURATED = 250.0  # of 255
 _SHARP = 2.5  # px: width of an edge's ramp (step over steepest slope) in a sharp image
 _INDEPENDENT = 2.0  # px between samples of an edge that share little noise
-
-
-@dataclass(frozen=True)
-class EdgeSettings(Bounded):
-    """Settings of the edge search.
-
-    Raises:
-        ParameterError: a value is out of bounds.
-    """
-
-    search: float = number(5.0, 1.0, 50.0, "px", "first search distance on either side of a line's expected position")
-    follow: float = number(2.5, 1.0, 50.0, "px", "search distance once the pose has been refined")
-    contrast: float = number(1.0, 0.01, 100.0, "", "least step of light within a pixel, of 255")
-    share: float = number(0.3, 0.0, 1.0, "", "least step as a share of the median step")
 
 
 @dataclass(frozen=True)
@@ -67,9 +57,7 @@ class EdgePoints:
     blur: Array
 
 
-def find_edges(
-    grey: NDArray[Any], lines: Lines, intrinsics: Intrinsics, window: float, settings: EdgeSettings
-) -> EdgePoints:
+def find_edges(grey: NDArray[Any], lines: Lines, intrinsics: Intrinsics, window: float) -> EdgePoints:
     """Return the steepest places within `window` px of each line in a grey image (H, W) float32."""
     import cv2
 
@@ -90,7 +78,7 @@ def find_edges(
     # A side's two lines are each searched on their own side of the middle between them.
     beyond = np.where(lines.outer[:, None], -offsets, offsets)
     offset, height, ramp = _steepest(fall, offsets, beyond <= 0.5 * lines.room[:, None])
-    enough = max(settings.contrast, settings.share * float(np.median(height[lines.outer])))
+    enough = max(_CONTRAST, _SHARE * float(np.median(height[lines.outer])))
     bounds = np.array(grey.shape[::-1], dtype=float) - 1.0
     inside = np.all((centre > 0.0) & (centre < bounds), axis=2)
     found = rays(np.clip(centre + offset[..., None] * lines.outward[:, None], 0.0, bounds), intrinsics)

@@ -42,10 +42,8 @@ from deltacharger_ros.tf_tree import TfTree, TransformError, installed
 from deltacharger_ros.tuning import Tuning
 from deltacharger_ros.unknown import unknown
 from deltacharger_vision.detector.annotate import annotated
-from deltacharger_vision.detector.detector import DetectorSettings, ElectrodeDetector
+from deltacharger_vision.detector.detector import ElectrodeDetector
 from deltacharger_vision.detector.electrode_detector_node_io import Camera, Shot
-from deltacharger_vision.detector.judgement import JudgementSettings
-from deltacharger_vision.detector.plane import PlaneSettings
 from deltacharger_vision.errors import MountError, VisionError
 from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.mount import Mount
@@ -83,7 +81,7 @@ class ElectrodeDetectorNode(Node):
         self._transform_timeout = transforms.transform_timeout
         self._deviations = given.mount_position_stddev, given.mount_rotation_stddev
         self._mount = _mount(self, given)
-        self._detector = ElectrodeDetector(terminal, _settings(given))
+        self._detector = ElectrodeDetector(terminal, given.depth_range_min, given.depth_bias)
         self._camera = Camera(self, given.stamp_tolerance, topics)
         self._tally = _Tally()
         self._looking = threading.Lock()
@@ -235,12 +233,6 @@ class ElectrodeDetectorNode(Node):
         level = OK if not problem else ERROR if watched or self._missing else WARN
         text = problem or ("detecting" if watched else "idle; detects on request")
         self._diagnostics.report(level, text, values, "detector", self._camera.names[0])
-
-
-def _settings(given: DetectorNodeParameters) -> DetectorSettings:
-    """Return the detector's settings for the depth of this camera."""
-    plane = PlaneSettings(bias=given.depth_bias)
-    return DetectorSettings(judgement=JudgementSettings(stereo_range=given.depth_range_min, plane=plane))
 
 
 def _mount(node: Node, given: DetectorNodeParameters) -> Mount:

@@ -8,20 +8,27 @@ the image shows bars of another size, or no bars at all: the metric gate.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array
-from deltacharger_core.parameters import Bounded, number
-from deltacharger_vision.detector.edges import EdgeSettings, find_edges
+from deltacharger_vision.detector.edges import EDGE_FOLLOW, EDGE_SEARCH, find_edges
 from deltacharger_vision.detector.hiding import Hiding, hiding
 from deltacharger_vision.detector.outlines import visible_lines
 from deltacharger_vision.detector.pairing import Pair
-from deltacharger_vision.detector.plane import Plane, PlaneSettings, Region, fit_plane, is_noise, plate_region
-from deltacharger_vision.detector.refine import ROUNDS, Edges, PoseFit, RefineSettings
+from deltacharger_vision.detector.plane import (
+    FEWEST_DEPTHS,
+    KNOWN_SHARE,
+    Plane,
+    Region,
+    fit_plane,
+    is_noise,
+    plate_region,
+)
+from deltacharger_vision.detector.refine import EDGE_BIAS, EDGE_NOISE, ROUNDS, Edges, PoseFit
 from deltacharger_vision.detector.starts import (
     LARGE_LEANS,
     SMALL_LEANS,
@@ -32,10 +39,26 @@ from deltacharger_vision.detector.starts import (
     mirrored,
     tilted,
 )
-from deltacharger_vision.detector.support import SupportSettings, outline_shares, plate_is_dark, supported
-from deltacharger_vision.images import NEAREST_DEPTH, RgbdImage
+from deltacharger_vision.detector.support import (
+    DEPTH_RISE,
+    LIGHT_AROUND,
+    SEEN_UNCHECKED,
+    outline_shares,
+    plate_is_dark,
+    supported,
+)
+from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.poses import TerminalPose, facing
 from deltacharger_vision.terminal import Terminal
+
+NEAREST_TARGET = 0.08  # m, least range
+FARTHEST_TARGET = 1.1  # m, largest range: beyond it the gap is less than 3 px at f = 441 px
+_TILT = 1.1  # rad, largest angle between the line of sight and the normal
+CLEAR_MISFIT = 60.0  # squared error below which no other start is tried
+_AMBIGUOUS = 12.0  # rise of the squared error that rules out a mirrored tilt
+DEPTH_AGREEMENT = 0.15  # relative difference of range by image and depth below stereo range
+FOCAL_ERROR = 0.007  # relative standard deviation of the focal length
+_ALONE = 1.7  # factor on the covariance by image alone, as nothing checks the tilt
 
 _SAME_TILT = 0.03  # rad
 _UNSETTLED, _NOTHING = 1.3, 5.0  # times `clear`
@@ -45,29 +68,6 @@ _FOLLOWED = 4  # most repetitions of the edge search
 _ROUGH = 5  # steps of a fit before the edges are searched again
 _SAME_LINES = 1.0  # px: a start that comes so near to a pose leads to it
 _SETTLED = 0.2  # px: after less movement, another edge search finds the same edges
-
-
-@dataclass(frozen=True)
-class JudgementSettings(Bounded):
-    """Limits of reported poses.
-
-    Raises:
-        ParameterError: a value is out of bounds.
-    """
-
-    stereo_range: float = number(NEAREST_DEPTH, 0.0, 5.0, "m", "least distance at which depth counts")
-    nearest: float = number(0.08, 0.02, 5.0, "m", "least range")
-    farthest: float = number(1.1, 0.1, 20.0, "m", "largest range: beyond it the gap is less than 3 px at f = 441 px")
-    tilt: float = number(1.1, 0.1, 1.3, "rad", "largest angle between the line of sight and the normal")
-    clear: float = number(60.0, 1.0, 1000.0, "", "squared error below which no other start is tried")
-    ambiguous: float = number(12.0, 0.0, 1000.0, "", "rise of the squared error that rules out a mirrored tilt")
-    agreement: float = number(0.15, 0.01, 1.0, "", "relative difference of range by image and depth below stereo range")
-    calibration: float = number(0.007, 0.0, 0.1, "", "relative standard deviation of the focal length")
-    alone: float = number(1.7, 1.0, 100.0, "", "factor on the covariance by image alone, as nothing checks the tilt")
-    edges: EdgeSettings = field(default_factory=EdgeSettings)
-    refine: RefineSettings = field(default_factory=RefineSettings)
-    plane: PlaneSettings = field(default_factory=PlaneSettings)
-    support: SupportSettings = field(default_factory=SupportSettings)
 
 
 @dataclass(frozen=True)
@@ -105,43 +105,46 @@ class Judge:
         grey: (H, W) float32, slightly smoothed.
         image: the original image.
         terminal: size of the bars.
-        settings: limits.
+        stereo_range: least distance (m) at which depth counts.
+        depth_bias: as of `ElectrodeDetector`.
     """
 
-    def __init__(self, grey: NDArray[Any], image: RgbdImage, terminal: Terminal, settings: JudgementSettings) -> None:
+    def __init__(
+        self, grey: NDArray[Any], image: RgbdImage, terminal: Terminal, stereo_range: float, depth_bias: float
+    ) -> None:
         self._grey = grey
         self._image = image
         self._terminal = terminal
+        self._stereo_range, self._depth_bias = stereo_range, depth_bias
         self._corners = terminal.corners()
-        self._settings = settings
         self._focal = math.sqrt(image.intrinsics.fx * image.intrinsics.fy)
 
     def judge(self, pair: Pair) -> Candidate | None:
         """Return the pose of a pair, or None if edges do not support it or depth contradicts it."""
-        settings, intrinsics = self._settings, self._image.intrinsics
+        intrinsics = self._image.intrinsics
         starts = by_corners(pair, self._terminal, intrinsics)
-        if not starts or not 0.7 * settings.nearest < starts[0].translation[2] < 1.4 * settings.farthest:
+        if not starts or not 0.7 * NEAREST_TARGET < starts[0].translation[2] < 1.4 * FARTHEST_TARGET:
             return None
         limit, dark = self._dark(starts[0])
         if not dark:
             return None
         region = self._region(starts[0], limit)
-        if region.share < settings.plane.known:
+        if region.share < KNOWN_SHARE:
             # Even too little depth for a plane may show that nothing is there.
             return None if self._elsewhere(region, starts[0]) else self._by_image(pair, starts[0])
-        plane = fit_plane(region, settings.plane, np.random.default_rng(0))
+        plane = fit_plane(region, self._depth_bias, np.random.default_rng(0))
         if plane is None and is_noise(region) and not self._elsewhere(region, starts[0]):
             return self._by_image(pair, starts[0])
         both = None if plane is None else self._by_both(pair, starts[0], plane)
-        if both is not None or starts[0].translation[2] >= settings.stereo_range:
+        if both is not None or starts[0].translation[2] >= self._stereo_range:
             return both
         # Too near for stereo, depth may be noise or a corner of the plate; but another plane is a contradiction.
-        if plane is not None and not agree(plane, starts[0], settings.agreement):
+        if plane is not None and not agree(plane, starts[0], DEPTH_AGREEMENT):
             return None
         return self._by_image(pair, starts[0])
 
     def _hiding(self, edges: Edges, found: PoseFit, plane: Plane) -> Hiding:
-        dark = self._settings.support.around
+        dark = LIGHT_AROUND
         return hiding(
             self._grey, self._image, found.pose, self._terminal, plane, edges.points.lines, found.used, dark
         )  # fmt: skip
@@ -154,25 +157,24 @@ class Judge:
         First the start is laid over the pair's blobs. A start is abandoned if it soon fits far worse than `least`, the
         squared error of another explanation.
         """
-        settings = self._settings
         found: list[Explanation] = []
         for sides in (True, False) if pair is not None else (True,):
             pose = start
             if pair is not None:
                 pose = laid_over(start, pair, self._terminal, self._image.intrinsics, sides)
-            followed = self._follow(pose, settings.edges.search, plane, _ROUGH)
+            followed = self._follow(pose, EDGE_SEARCH, plane, _ROUGH)
             settled = False
             for round_ in range(_FOLLOWED + 1):
-                hopeless = _HOPELESS * least + settings.ambiguous
+                hopeless = _HOPELESS * least + _AMBIGUOUS
                 if followed is None or self._misfit(*followed, plane) > (4.0 if round_ == 0 else 1.0) * hopeless:
                     followed = None
                     break
                 if settled or round_ == _FOLLOWED:
                     break
-                if round_ > 1 and self._misfit(*followed, missed=False) < settings.clear:
+                if round_ > 1 and self._misfit(*followed, missed=False) < CLEAR_MISFIT:
                     break
                 before = followed[1].pose
-                followed = self._follow(before, settings.edges.follow, plane)
+                followed = self._follow(before, EDGE_FOLLOW, plane)
                 settled = followed is not None and self._moved(before, followed[1].pose) < _SETTLED
             if followed is None:
                 if round_ == 0 and math.isfinite(least):  # at this tilt the other silhouette would not fit either
@@ -180,7 +182,7 @@ class Judge:
                 continue
             found.append(Explanation(*followed, self._misfit(*followed, plane)))
             least = min(least, found[-1].misfit)
-            if self._misfit(*followed, missed=False) < settings.clear and self._share(*followed):
+            if self._misfit(*followed, missed=False) < CLEAR_MISFIT and self._share(*followed):
                 break
         return sorted(found, key=lambda each: each.misfit)
 
@@ -190,7 +192,7 @@ class Judge:
         return self._focal * float(np.abs(one[..., :2] / one[..., 2:] - two[..., :2] / two[..., 2:]).max())
 
     def _misfit(self, edges: Edges, found: PoseFit, plane: Plane | None = None, missed: bool = True) -> float:
-        return edges.misfit(found, self._settings.refine.noise, plane, missed)
+        return edges.misfit(found, EDGE_NOISE, plane, missed)
 
     def _follow(
         self, pose: TerminalPose, window: float, plane: Plane | None = None, rounds: int = ROUNDS
@@ -201,33 +203,32 @@ class Judge:
         return None if found is None else (edges, found)
 
     def _edges(self, pose: TerminalPose, window: float) -> Edges:
-        intrinsics, settings = self._image.intrinsics, self._settings
+        intrinsics = self._image.intrinsics
         spacing = intrinsics.fy * self._terminal.spacing / pose.translation[2]
-        lines = visible_lines(pose, self._terminal, intrinsics, settings.refine.bias)
-        points = find_edges(self._grey, lines, intrinsics, min(window, max(1.5, 0.4 * spacing)), settings.edges)
-        return Edges(points, self._terminal, self._focal, settings.refine)
+        lines = visible_lines(pose, self._terminal, intrinsics, EDGE_BIAS)
+        points = find_edges(self._grey, lines, intrinsics, min(window, max(1.5, 0.4 * spacing)))
+        return Edges(points, self._terminal, self._focal)
 
     def _by_image(self, pair: Pair, start: TerminalPose) -> Candidate | None:
         """Return the pose by edges alone; if two tilts remain possible, its covariance spans both."""
-        settings = self._settings
         found = self._explained(pair, start)
         if not found:
             return None
         best, *others = found
-        if self._misfit(best.edges, best.fit, missed=False) > _UNSETTLED * settings.clear:
+        if self._misfit(best.edges, best.fit, missed=False) > _UNSETTLED * CLEAR_MISFIT:
             return None
         apart, upright = self._others(best, others)
-        return self._candidate(best.edges, best.fit, settings.alone * best.fit.covariance + apart, False, upright)
+        return self._candidate(best.edges, best.fit, _ALONE * best.fit.covariance + apart, False, upright)
 
     def _others(self, best: Explanation, others: list[Explanation], plane: Plane | None = None) -> tuple[Array, bool]:
         """Return the covariance (6, 6) by explanations that are almost as likely, and whether their tilt is one."""
         shown = self._misfit(best.edges, best.fit, plane, missed=False)
-        excess = max(1.0, shown / self._settings.clear)
+        excess = max(1.0, shown / CLEAR_MISFIT)
         covariance, upright = np.zeros((6, 6)), True
         for other in others:
             # A side too dim for an edge is weak evidence against the lines of another end.
             rises = (other.misfit - best.misfit, self._misfit(other.edges, other.fit, plane, missed=False) - shown)
-            if (rise := max(0.0, min(rises)) / excess) < self._settings.ambiguous:
+            if (rise := max(0.0, min(rises)) / excess) < _AMBIGUOUS:
                 turned = np.cross(best.fit.pose.rotation[:, 2], other.fit.pose.rotation[:, 2])
                 step = np.concatenate([other.fit.pose.translation - best.fit.pose.translation, turned])
                 likely = math.exp(-0.5 * rise)
@@ -245,9 +246,7 @@ class Judge:
         for limit, leans in ((0.0, None), (1.2, SMALL_LEANS), (3.0, LARGE_LEANS)):
             best = min(found, key=lambda each: each.misfit, default=None)
             least = math.inf if best is None else best.misfit
-            if least < limit * self._settings.clear or (
-                leans is not None and nearest > _NOTHING * self._settings.clear
-            ):
+            if least < limit * CLEAR_MISFIT or (leans is not None and nearest > _NOTHING * CLEAR_MISFIT):
                 break
             if leans is None:
                 tries = [start, mirrored(start)]
@@ -265,7 +264,7 @@ class Judge:
         """Return explanations with those by the other lines at the bars' visible ends, the best first."""
         for best in sorted(found, key=lambda each: each.misfit)[:1]:
             for swapped in ends_swapped(best.fit.pose, self._terminal):
-                rough = self._follow(swapped, self._settings.edges.search, plane, _ROUGH)
+                rough = self._follow(swapped, EDGE_SEARCH, plane, _ROUGH)
                 if rough is None or self._moved(best.fit.pose, rough[1].pose) < _SAME_LINES:
                     continue
                 explained = self._search(rough[1].pose, None, plane, best.misfit)
@@ -274,7 +273,7 @@ class Judge:
 
     def _by_both(self, pair: Pair, start: TerminalPose, plane: Plane) -> Candidate | None:
         """Return the pose by edges and plane, unless the plane contradicts the edges."""
-        settings, exact, plane = self._settings, plane, plane.with_bias()
+        exact, plane = plane, plane.with_bias()
         # The plane gives the tilt, and so the visible sides of the bars.
         found = self._search(tilted(start, plane.coefficients, pair, self._image.intrinsics), pair, plane)
         if not found:
@@ -292,7 +291,7 @@ class Judge:
         if fused is None or alone is None:
             return None
         rise = edges.misfit(fused, alone.scatter, plane) - edges.misfit(alone, alone.scatter)
-        if not rise <= settings.support.disagreement:
+        if not rise <= DEPTH_RISE:
             return None
         covariance = max(1.0, rise / EXPECTED_RISE) * fused.covariance + self._others(best, others, plane)[0]
         return self._candidate(edges, fused, covariance + self._depth_doubt(fused.pose, plane), True, True)
@@ -308,39 +307,35 @@ class Judge:
     def _candidate(
         self, edges: Edges, found: PoseFit, covariance: Array, fused: bool, upright: bool
     ) -> Candidate | None:
-        settings, pose = self._settings, found.pose
+        pose = found.pose
         away = float(np.linalg.norm(pose.translation))
-        in_range = settings.nearest <= away <= settings.farthest and facing(pose) >= math.cos(settings.tilt)
+        in_range = NEAREST_TARGET <= away <= FARTHEST_TARGET and facing(pose) >= math.cos(_TILT)
         confidence = self._share(edges, found)
-        if (
-            not in_range
-            or confidence <= (0.0 if fused else settings.support.unchecked)
-            or not np.all(np.isfinite(covariance))
-        ):
+        if not in_range or confidence <= (0.0 if fused else SEEN_UNCHECKED) or not np.all(np.isfinite(covariance)):
             return None
         if not self._dark(pose)[1]:
             return None
         # If edges fit worse than their noise explains, something is wrong with them (Birge's ratio).
-        excess = self._misfit(edges, found, missed=False) / settings.clear
+        excess = self._misfit(edges, found, missed=False) / CLEAR_MISFIT
         return Candidate(pose, covariance * max(1.0, excess), confidence, fused, upright)
 
     def _elsewhere(self, region: Region, pose: TerminalPose) -> bool:
         """Return whether known depth, within stereo's range, lies at quite another range than a pose."""
-        settings, away = self._settings, float(pose.translation[2])
-        if away < settings.stereo_range or len(region.inverse) < settings.plane.fewest:
+        away = float(pose.translation[2])
+        if away < self._stereo_range or len(region.inverse) < FEWEST_DEPTHS:
             return False
-        return abs(float(np.median(region.inverse)) * away - 1.0) > 2.0 * settings.agreement
+        return abs(float(np.median(region.inverse)) * away - 1.0) > 2.0 * DEPTH_AGREEMENT
 
     def _dark(self, pose: TerminalPose) -> tuple[float, bool]:
-        intrinsics, share = self._image.intrinsics, self._settings.support.around
+        intrinsics, share = self._image.intrinsics, LIGHT_AROUND
         return plate_is_dark(self._grey, pose, self._terminal, intrinsics, share)
 
     def _region(self, pose: TerminalPose, limit: float) -> Region:
-        intrinsics, settings = self._image.intrinsics, self._settings.plane
-        return plate_region(self._image.depth, pose, self._terminal, intrinsics, settings, self._grey < limit)
+        intrinsics = self._image.intrinsics
+        return plate_region(self._image.depth, pose, self._terminal, intrinsics, self._grey < limit)
 
     def _share(self, edges: Edges, found: PoseFit) -> float:
-        return supported(outline_shares(edges.points, found), found, self._settings.support)
+        return supported(outline_shares(edges.points, found), found)
 
 
 def agree(plane: Plane, pose: TerminalPose, tolerance: float) -> bool:

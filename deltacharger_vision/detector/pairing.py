@@ -8,31 +8,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from deltacharger_core.arrays import Array
-from deltacharger_core.parameters import Bounded, number
 from deltacharger_vision.detector.segmentation import Blobs
 from deltacharger_vision.terminal import Terminal
 
-
-@dataclass(frozen=True)
-class PairingSettings(Bounded):
-    """Limits of pairs. Ratios are measured in the image, so they allow for tilt up to about 50°.
-
-    Raises:
-        ParameterError: a value is out of bounds.
-    """
-
-    angle: float = number(0.2, 0.0, 1.0, "rad", "largest angle between the bars")
-    near_by_length: float = number(0.55, 0.1, 1.0, "", "least spacing over length, 1 seen from the front")
-    far_by_length: float = number(1.75, 1.0, 10.0, "", "largest spacing over length")
-    near_by_width: float = number(0.55, 0.1, 1.0, "", "least spacing over width, 1 seen from the front")
-    far_by_width: float = number(1.6, 1.0, 10.0, "", "largest spacing over width")
-    widths: float = number(1.9, 1.0, 10.0, "", "largest ratio of the bars' widths")
-    whole: float = number(0.93, 0.5, 1.0, "", "least ratio of the lengths of two complete bars")
-    shift: float = number(0.15, 0.0, 1.0, "", "largest offset along the bars, in lengths")
-    part: float = number(0.2, 0.05, 1.0, "", "least length of a cut bar, in lengths of the complete one")
-    aside: float = number(0.35, 0.0, 2.0, "", "largest offset of a piece from the line of a bar, in widths")
-    pieces: float = number(0.3, 0.1, 1.0, "", "least share of the bars' length from the first piece to the last")
-    most: int = number(6, 1, 100, "", "most pairs to examine, the likeliest first")
+_ANGLE = 0.2  # rad, largest angle between the bars
+_NEAR_BY_LENGTH = 0.55  # least spacing over length, 1 seen from the front
+_FAR_BY_LENGTH = 1.75  # largest spacing over length
+_NEAR_BY_WIDTH = 0.55  # least spacing over width, 1 seen from the front
+_FAR_BY_WIDTH = 1.6  # largest spacing over width
+_WIDTHS = 1.9  # largest ratio of the bars' widths
+_WHOLE = 0.93  # least ratio of the lengths of two complete bars
+_SHIFT = 0.15  # largest offset along the bars, in lengths
+_PART = 0.2  # least length of a cut bar, in lengths of the complete one
+_ASIDE = 0.35  # largest offset of a piece from the line of a bar, in widths
+_PIECES = 0.3  # least share of the bars' length from the first piece to the last
+_MOST = 6  # most pairs to examine, the likeliest first
 
 
 @dataclass(frozen=True)
@@ -54,7 +44,7 @@ class Pair:
     cut: bool = False
 
 
-def find_pairs(blobs: Blobs, terminal: Terminal, settings: PairingSettings) -> list[Pair]:
+def find_pairs(blobs: Blobs, terminal: Terminal) -> list[Pair]:
     """Return the likeliest pairs, the least doubtful first."""
     if len(blobs) < 2:
         return []
@@ -72,11 +62,11 @@ def find_pairs(blobs: Blobs, terminal: Terminal, settings: PairingSettings) -> l
     by_length = spacing / length * terminal.bar_length / pitch
     by_width = spacing / (0.5 * (width + narrow)) * terminal.bar_height / pitch
     ratio = blobs.length[second] / length
-    whole = (ratio >= settings.whole) & (along <= settings.shift)
-    part = (ratio >= settings.part) & (along + 0.5 * ratio <= 0.5 + settings.shift)
-    fits = (cosine >= np.cos(settings.angle)) & (whole | part) & (width / narrow <= settings.widths)
-    fits &= (by_length >= settings.near_by_length) & (by_length <= settings.far_by_length)
-    fits &= (by_width >= settings.near_by_width) & (by_width <= settings.far_by_width)
+    whole = (ratio >= _WHOLE) & (along <= _SHIFT)
+    part = (ratio >= _PART) & (along + 0.5 * ratio <= 0.5 + _SHIFT)
+    fits = (cosine >= np.cos(_ANGLE)) & (whole | part) & (width / narrow <= _WIDTHS)
+    fits &= (by_length >= _NEAR_BY_LENGTH) & (by_length <= _FAR_BY_LENGTH)
+    fits &= (by_width >= _NEAR_BY_WIDTH) & (by_width <= _FAR_BY_WIDTH)
     doubt = np.abs(np.log(np.maximum(by_length, 1e-9))) + np.abs(np.log(np.maximum(by_width, 1e-9)))
     doubt += np.where(whole, along, 0.5 * (1.0 - ratio)) + 2.0 * np.arccos(np.minimum(cosine, 1.0))
     doubt += 2.0 - blobs.fill[first] - blobs.fill[second]
@@ -87,12 +77,12 @@ def find_pairs(blobs: Blobs, terminal: Terminal, settings: PairingSettings) -> l
         pair = _outline(blobs, int(first[row]), int(second[row]), bool(whole[row]), float(doubt[row]))
         if all(_differs(pair, other) for other in pairs):
             pairs.append(pair)
-            if len(pairs) == settings.most:
+            if len(pairs) == _MOST:
                 break
     return pairs
 
 
-def find_cut_pairs(pieces: Blobs, terminal: Terminal, settings: PairingSettings) -> list[Pair]:
+def find_cut_pairs(pieces: Blobs, terminal: Terminal) -> list[Pair]:
     """Return the likeliest pairs of lines through pieces of two bars, from the first end of a piece to the last."""
     if len(pieces) < 2:
         return []
@@ -105,22 +95,22 @@ def find_cut_pairs(pieces: Blobs, terminal: Terminal, settings: PairingSettings)
     width = np.maximum(pieces.width[first], pieces.width[second])
     narrow = np.minimum(pieces.width[first], pieces.width[second])
     by_width = spacing / (0.5 * (width + narrow)) * terminal.bar_height / pitch
-    fits = (cosine >= np.cos(settings.angle)) & (width / narrow <= settings.widths)
-    fits &= (by_width >= settings.near_by_width) & (by_width <= settings.far_by_width)
+    fits = (cosine >= np.cos(_ANGLE)) & (width / narrow <= _WIDTHS)
+    fits &= (by_width >= _NEAR_BY_WIDTH) & (by_width <= _FAR_BY_WIDTH)
     fits &= np.abs(np.sum(offset * direction, axis=1)) < 1.2 * terminal.bar_length / pitch * spacing
     pairs: list[Pair] = []
     for row in np.flatnonzero(fits):
-        pair = _cut(pieces, int(first[row]), int(second[row]), terminal, settings)
+        pair = _cut(pieces, int(first[row]), int(second[row]), terminal)
         if pair is not None:
             pairs.append(pair)
     found: list[Pair] = []
     for pair in sorted(pairs, key=lambda each: each.doubt):
         if all(_differs(pair, other) for other in found):
             found.append(pair)
-    return found[: settings.most]
+    return found[:_MOST]
 
 
-def _cut(pieces: Blobs, first: int, second: int, terminal: Terminal, settings: PairingSettings) -> Pair | None:
+def _cut(pieces: Blobs, first: int, second: int, terminal: Terminal) -> Pair | None:
     """Return the pair of lines through two pieces, as long as all pieces on them; None if that is too long."""
     direction = pieces.direction[first] * pieces.length[first]
     other = pieces.direction[second] * pieces.length[second]
@@ -130,14 +120,14 @@ def _cut(pieces: Blobs, first: int, second: int, terminal: Terminal, settings: P
     along, aside = (pieces.centre - pieces.centre[first]) @ direction, (pieces.centre - pieces.centre[first]) @ across
     spacing, width = aside[second], max(pieces.width[first], pieces.width[second])
     whole = abs(spacing) * terminal.bar_length / terminal.spacing
-    near = np.minimum(np.abs(aside), np.abs(aside - spacing)) < settings.aside * width
-    near &= (pieces.width < settings.widths * width) & (pieces.width > width / settings.widths)
-    near &= np.abs(pieces.direction @ direction) > np.cos(2.0 * settings.angle)
+    near = np.minimum(np.abs(aside), np.abs(aside - spacing)) < _ASIDE * width
+    near &= (pieces.width < _WIDTHS * width) & (pieces.width > width / _WIDTHS)
+    near &= np.abs(pieces.direction @ direction) > np.cos(2.0 * _ANGLE)
     near &= np.abs(along - 0.5 * along[second]) < whole
     near[[first, second]] = True
     low, high = (along - 0.5 * pieces.length)[near].min(), (along + 0.5 * pieces.length)[near].max()
     seen = float(pieces.length[near].sum())
-    if not settings.pieces < (high - low) / whole < 1.0 / settings.near_by_length:
+    if not _PIECES < (high - low) / whole < 1.0 / _NEAR_BY_LENGTH:
         return None
     middle = pieces.centre[first] + 0.5 * (low + high) * direction
     centre = np.stack([middle, middle + spacing * across])[:: 1 if spacing > 0.0 else -1]

@@ -12,12 +12,29 @@ from __future__ import annotations
 import numpy as np
 
 from deltacharger_core.arrays import Mask
-from deltacharger_vision.detector.judgement import EXPECTED_RISE, Candidate, Explanation, Judge, agree
+from deltacharger_vision.detector.judgement import (
+    CLEAR_MISFIT,
+    DEPTH_AGREEMENT,
+    EXPECTED_RISE,
+    FARTHEST_TARGET,
+    NEAREST_TARGET,
+    Candidate,
+    Explanation,
+    Judge,
+    agree,
+)
 from deltacharger_vision.detector.outlines import Lines
 from deltacharger_vision.detector.pairing import Pair
 from deltacharger_vision.detector.plane import Plane, fit_plane
 from deltacharger_vision.detector.starts import by_spacing, on_plane
-from deltacharger_vision.detector.support import outline_shares
+from deltacharger_vision.detector.support import (
+    DEPTH_RISE,
+    END_SEEN,
+    LARGEST_SCATTER,
+    SIDE_SEEN,
+    SIDES_SEEN,
+    outline_shares,
+)
 
 _LONG, _ENDS = (0, 2), (1, 3)
 _LEAST_ENDS = 2  # of four must be beside the plate
@@ -29,13 +46,13 @@ class PartsJudge(Judge):
 
     def judge_cut(self, pair: Pair) -> list[Candidate]:
         """Return the poses of partly hidden bars on the plate's plane; none if depth shows no plane."""
-        settings, intrinsics = self._settings, self._image.intrinsics
+        intrinsics = self._image.intrinsics
         start = by_spacing(pair, self._terminal, intrinsics)
-        if not 0.7 * settings.nearest < start.translation[2] < 1.4 * settings.farthest:
+        if not 0.7 * NEAREST_TARGET < start.translation[2] < 1.4 * FARTHEST_TARGET:
             return []
         region = self._region(start, self._dark(start)[0])
-        plane = fit_plane(region, settings.plane, np.random.default_rng(0))
-        if plane is None or not agree(plane, start, 3.0 * settings.agreement):
+        plane = fit_plane(region, self._depth_bias, np.random.default_rng(0))
+        if plane is None or not agree(plane, start, 3.0 * DEPTH_AGREEMENT):
             return []
         found = []
         for pose in on_plane(start, plane.coefficients, pair, self._terminal, intrinsics):
@@ -46,13 +63,11 @@ class PartsJudge(Judge):
 
     def _by_parts(self, explained: Explanation, plane: Plane) -> Candidate | None:
         """Return the pose by visible parts of the bars, unless the plate is visible where they should be."""
-        settings = self._settings
         edges, fused = explained.edges, explained.fit
         shown = self._hiding(edges, fused, plane)
         # A bar with a visible side ends where the side ends: the face's edge alone may be the other bar's.
         ends, any_line = (
-            shown.ends & (outline_shares(edges.points, fused, outer)[:, _ENDS] >= settings.support.end)
-            for outer in (True, False)
+            shown.ends & (outline_shares(edges.points, fused, outer)[:, _ENDS] >= END_SEEN) for outer in (True, False)
         )
         # Between a bar and the plate there is an edge, or the bar ends elsewhere.
         if shown.refuted or shown.off or int(ends.sum()) < _LEAST_ENDS or np.any(shown.ends & ~any_line):
@@ -64,13 +79,13 @@ class PartsJudge(Judge):
         if both is None or alone is None:
             return None
         rise = kept.misfit(both, alone.scatter, plane) - kept.misfit(alone, alone.scatter)
-        if not rise <= settings.support.disagreement or both.scatter > settings.support.scatter:
+        if not rise <= DEPTH_RISE or both.scatter > LARGEST_SCATTER:
             return None
         shares = outline_shares(kept.points, both)
         sides = shares[:, _LONG]
-        if sides.min() < settings.support.part or sides.mean() < settings.support.parts:
+        if sides.min() < SIDE_SEEN or sides.mean() < SIDES_SEEN:
             return None
-        excess = self._misfit(kept, both, missed=False) / settings.clear
+        excess = self._misfit(kept, both, missed=False) / CLEAR_MISFIT
         if excess > _MESSY:
             return None
         covariance = both.covariance * max(1.0, rise / EXPECTED_RISE, excess) + self._depth_doubt(both.pose, plane)

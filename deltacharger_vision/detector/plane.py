@@ -15,11 +15,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array, Mask
-from deltacharger_core.parameters import Bounded, number
-from deltacharger_vision.images import DEPTH_BIAS, Intrinsics
+from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.poses import TerminalPose
 from deltacharger_vision.projection import project, rays
 from deltacharger_vision.terminal import Terminal
+
+_BESIDE = 0.006  # m, width of the examined plate beyond the bars' ends
+_ABOVE = 0.020  # m, width of the examined plate above and below the bars
+_METAL = 0.004  # m, excluded width around the bars
+_SHADOW = 3.0  # px, excluded width in the image: stereo smears depth
+_MOST = 3000  # most depth samples used
+FEWEST_DEPTHS = 60  # least samples for a plane
+KNOWN_SHARE = 0.25  # share of the region's depth that must be known
+_INLIERS = 0.65  # share of the known depth that must lie on the plane
+_TOLERANCE = 0.05  # 1/m, largest deviation of inverse depth from the plane
+_NOISE = 0.0035  # 1/m, least standard deviation of inverse depth: its steps are 1/8 px
+_STEP = 0.001  # m, steps of depth: millimetres, as in 16UC1
+_SHIFT = 0.001  # 1/m, standard deviation of a shift of all inverse depths: 0.03 px
+_SLOPE = 0.002  # 1/m, standard deviation of their tilt, per unit ray: 0.03 px over a plate
 
 _TRIALS, _THIN, _CONCENTRATED = 40, 500, 3  # planes tried, samples that test them, repetitions of their fit
 _ROUNDS = 6
@@ -30,38 +43,6 @@ _BLOCKS = 12  # needed for a scatter of their means
 _TUKEY = 3.5
 _NOISY = 0.05  # relative scatter of inverse depth within a block
 _HIDDEN, _CROSSED = 0.4, 1.2  # of a step across the plate; steps
-
-
-@dataclass(frozen=True)
-class PlaneSettings(Bounded):
-    """Which depth belongs to the plate.
-
-    Raises:
-        ParameterError: a value is out of bounds.
-    """
-
-    beside: float = number(0.006, 0.0, 0.2, "m", "width of the examined plate beyond the bars' ends")
-    above: float = number(0.020, 0.0, 0.2, "m", "width of the examined plate above and below the bars")
-    metal: float = number(0.004, 0.0, 0.1, "m", "excluded width around the bars")
-    shadow: float = number(3.0, 0.0, 30.0, "px", "excluded width in the image: stereo smears depth")
-    most: int = number(3000, 100, 100_000, "", "most depth samples used")
-    fewest: int = number(60, 10, 10_000, "", "least samples for a plane")
-    known: float = number(0.25, 0.0, 1.0, "", "share of the region's depth that must be known")
-    inliers: float = number(0.65, 0.1, 1.0, "", "share of the known depth that must lie on the plane")
-    tolerance: float = number(0.05, 0.001, 1.0, "1/m", "largest deviation of inverse depth from the plane")
-    noise: float = number(0.0035, 1e-6, 0.1, "1/m", "least standard deviation of inverse depth: its steps are 1/8 px")
-    step: float = number(0.001, 0.0, 0.1, "m", "steps of depth: millimetres, as in 16UC1")
-    bias: float = number(
-        DEPTH_BIAS,
-        0.0,
-        0.2,
-        "",
-        "standard deviation of the relative error of all depth, and of its change per unit ray",
-    )
-    shift: float = number(0.001, 1e-6, 0.1, "1/m", "standard deviation of a shift of all inverse depths: 0.03 px")
-    slope: float = number(
-        0.002, 1e-6, 1.0, "1/m", "standard deviation of their tilt, per unit ray: 0.03 px over a plate"
-    )
 
 
 @dataclass(frozen=True)
@@ -110,13 +91,12 @@ def plate_region(
     pose: TerminalPose,
     terminal: Terminal,
     intrinsics: Intrinsics,
-    settings: PlaneSettings,
     dark: Mask | None = None,
 ) -> Region:
     """Return the known depth (H, W) m around the bars of a terminal at `pose`, where the image is `dark` (H, W)."""
     half = np.array([0.5 * terminal.bar_length, terminal.bar_height + 0.5 * terminal.gap])
-    clear = max(settings.metal, settings.shadow * pose.translation[2] / intrinsics.fx)
-    reach = half + clear + [settings.beside, settings.above]
+    clear = max(_METAL, _SHADOW * pose.translation[2] / intrinsics.fx)
+    reach = half + clear + [_BESIDE, _ABOVE]
     signs = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     corners = pose.points(np.column_stack([signs * reach, np.full(4, terminal.bar_thickness)]))
     pixels = project(corners, intrinsics)
@@ -124,7 +104,7 @@ def plate_region(
     low = np.clip(np.floor(pixels.min(axis=0)), 0, [width, height]).astype(int)
     high = np.clip(np.ceil(pixels.max(axis=0)) + 1, 0, [width, height]).astype(int)
     size = np.maximum(high - low, 0)
-    stride = max(1, int(np.ceil(np.sqrt(size[0] * size[1] / settings.most))))
+    stride = max(1, int(np.ceil(np.sqrt(size[0] * size[1] / _MOST))))
     grid = np.meshgrid(np.arange(low[0], high[0], stride), np.arange(low[1], high[1], stride))
     columns, rows = (part.ravel() for part in grid)
     ray = np.ones((len(columns), 3))
@@ -144,17 +124,17 @@ def plate_region(
     return Region(ray[known], 1.0 / values[known], block[known].astype(np.int64), share)
 
 
-def fit_plane(region: Region, settings: PlaneSettings, random: np.random.Generator) -> Plane | None:
+def fit_plane(region: Region, bias: float, random: np.random.Generator) -> Plane | None:
     """Return the plane that two thirds of the region's depth lie on, or None if there is none."""
     count = len(region.inverse)
-    if count < settings.fewest or region.share < settings.known:
+    if count < FEWEST_DEPTHS or region.share < KNOWN_SHARE:
         return None
     coefficients = _consensus(region, random)
     if coefficients is None:
         return None
     # With rounded depth, most samples may lie on one step; a scatter smaller than rounding would fit that step alone.
-    rounded = settings.step / math.sqrt(12.0) * float(np.median(region.inverse)) ** 2
-    least = math.hypot(settings.noise, rounded)
+    rounded = _STEP / math.sqrt(12.0) * float(np.median(region.inverse)) ** 2
+    least = math.hypot(_NOISE, rounded)
     # The neighbouring step must stay in, too.
     narrowest = math.sqrt(12.0) / _NEAR * rounded
     block = np.unique(region.block, return_inverse=True)[1]
@@ -162,8 +142,8 @@ def fit_plane(region: Region, settings: PlaneSettings, random: np.random.Generat
     scatter, weight = max(least, 1.4826 * float(np.median(np.abs(residual)))), np.ones(count)
     for _ in range(_ROUNDS):
         # Objects in front of the plate would widen the scatter if they counted, and thus be accepted.
-        near = np.abs(residual) < min(settings.tolerance, _NEAR * max(scatter, 1.1 * narrowest))
-        if np.count_nonzero(near) < 0.5 * settings.fewest:
+        near = np.abs(residual) < min(_TOLERANCE, _NEAR * max(scatter, 1.1 * narrowest))
+        if np.count_nonzero(near) < 0.5 * FEWEST_DEPTHS:
             return None
         scatter = max(least, float(np.median(np.abs(residual[near]))) / _MEDIAN)
         weight = _tukey(residual / max(scatter, narrowest)) * _in_line(block, residual, near, rounded)
@@ -173,14 +153,14 @@ def fit_plane(region: Region, settings: PlaneSettings, random: np.random.Generat
         )
         residual = region.inverse - region.rays @ coefficients
     # Checked last: a few samples agree better with their nearer half than with the plane.
-    if np.count_nonzero(near) < max(settings.fewest, settings.inliers * count):
+    if np.count_nonzero(near) < max(FEWEST_DEPTHS, _INLIERS * count):
         return None
     normal = (region.rays * weight[:, None]).T @ region.rays
     covariance = scatter**2 * _correlation(region, residual, weight > 0.0) * np.linalg.inv(normal + 1e-9 * np.eye(3))
     covariance *= _doubt(residual / max(scatter, narrowest))
-    covariance += np.diag([settings.slope, settings.slope, settings.shift]) ** 2
+    covariance += np.diag([_SLOPE, _SLOPE, _SHIFT]) ** 2
     covariance[:2, :2] += np.diag(_stairs(region, coefficients, math.sqrt(12.0) * rounded)) ** 2
-    return Plane(coefficients, np.linalg.inv(covariance), scatter, settings.bias)
+    return Plane(coefficients, np.linalg.inv(covariance), scatter, bias)
 
 
 def is_noise(region: Region) -> bool:

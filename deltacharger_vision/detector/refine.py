@@ -13,11 +13,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deltacharger_core.arrays import Array, Mask
-from deltacharger_core.parameters import Bounded, number
 from deltacharger_vision.detector.edges import EdgePoints
 from deltacharger_vision.detector.plane import Plane
 from deltacharger_vision.poses import TerminalPose, cross_matrix, facing
 from deltacharger_vision.terminal import Terminal
+
+EDGE_BIAS = 0.07  # px, standard deviation of the shift of an entire edge (blur, glare, machining)
+_BLURRED = 0.1  # additional standard deviation per px of blur
+EDGE_NOISE = 0.12  # px, least standard deviation of one edge point
+_SPREAD = 0.05  # px, standard deviation of the spread of light over every edge
+_GLARE = 0.5  # px, additional spread per saturated share of the bars
+_OUTLIER = 4.7  # standard deviations beyond which a point has no weight (Tukey)
 
 ROUNDS = 10
 """Most steps of a fit."""
@@ -25,24 +31,6 @@ _ENOUGH = 1e-2  # squared length of a step in standard deviations
 _LARGEST = 0.3  # rad per step
 _FEWEST = 24  # edge points
 _TILT = 0.7  # rad: weak prior for a frontal view, which keeps the tilt finite
-
-
-@dataclass(frozen=True)
-class RefineSettings(Bounded):
-    """Weights of edges.
-
-    Raises:
-        ParameterError: a value is out of bounds.
-    """
-
-    bias: float = number(
-        0.07, 0.001, 5.0, "px", "standard deviation of the shift of an entire edge (blur, glare, machining)"
-    )
-    blurred: float = number(0.1, 0.0, 5.0, "", "additional standard deviation per px of blur")
-    noise: float = number(0.12, 0.001, 5.0, "px", "least standard deviation of one edge point")
-    spread: float = number(0.05, 0.001, 5.0, "px", "standard deviation of the spread of light over every edge")
-    glare: float = number(0.5, 0.0, 5.0, "px", "additional spread per saturated share of the bars")
-    outlier: float = number(4.7, 2.0, 20.0, "", "standard deviations beyond which a point has no weight (Tukey)")
 
 
 @dataclass(frozen=True)
@@ -73,33 +61,31 @@ class Edges:
         points: the edge points.
         terminal: size of the bars.
         focal: px, of an ideal camera with the rays of the points.
-        settings: their weights.
     """
 
-    def __init__(self, points: EdgePoints, terminal: Terminal, focal: float, settings: RefineSettings) -> None:
+    def __init__(self, points: EdgePoints, terminal: Terminal, focal: float) -> None:
         self.points = points
         self._terminal = terminal
         self._focal = focal
-        self._settings = settings
         self._line, self._place = np.nonzero(points.seen)
         self._model = points.model[points.seen].T
         self._rays = points.rays[points.seen].T
         self._ends = np.concatenate([points.lines.start, points.lines.end]).T
         self._outer = points.lines.outer[self._line].astype(float)
         bias = points.lines.bias[self._line]
-        self._bias = np.hypot(bias, settings.blurred * points.blur[self._line])
+        self._bias = np.hypot(bias, _BLURRED * points.blur[self._line])
         # The pull of a narrow side's other line varies along the edge, so such points have little weight each.
-        drawn = np.maximum(bias**2 - settings.bias**2, 0.0)
-        self._independent = points.weight[self._line] / (1.0 + drawn / settings.noise**2)
+        drawn = np.maximum(bias**2 - EDGE_BIAS**2, 0.0)
+        self._independent = points.weight[self._line] / (1.0 + drawn / EDGE_NOISE**2)
         _, self._first, self._group = np.unique(self._line, return_index=True, return_inverse=True)
-        self._spread = settings.spread + settings.glare * points.saturated
+        self._spread = _SPREAD + _GLARE * points.saturated
 
     def without_ends(self, ends: Mask) -> Edges:
         """Return the edges without the ends (2, 2) of each bar, at +x and at −x, that are False."""
         lines = self.points.lines
         hidden = (lines.side == 1) & ~ends[lines.bar, 0] | (lines.side == 3) & ~ends[lines.bar, 1]
         points = replace(self.points, seen=self.points.seen & ~hidden[:, None])
-        return Edges(points, self._terminal, self._focal, self._settings)
+        return Edges(points, self._terminal, self._focal)
 
     def fit(self, start: TerminalPose, plane: Plane | None = None, rounds: int = ROUNDS) -> PoseFit | None:
         """Return the pose near `start` that fits edges and plane; None if they do not determine it.
@@ -141,7 +127,7 @@ class Edges:
         used = np.zeros(self.points.seen.shape, dtype=bool)
         used[self._line, self._place] = robust > 0.0
         # Scaled by the edges' own bias: otherwise merged ends alone would look like a failed fit.
-        scatter = max(scatter, _spread(columns[-1] * self._settings.noise / np.hypot(self._settings.noise, self._bias)))
+        scatter = max(scatter, _spread(columns[-1] * EDGE_NOISE / np.hypot(EDGE_NOISE, self._bias)))
         return PoseFit(pose, covariance[:6, :6], used, scatter, spread, columns[-1])
 
     def misfit(self, found: PoseFit, scatter: float, plane: Plane | None = None, missed: bool = True) -> float:
@@ -150,10 +136,10 @@ class Edges:
         With `missed`, places without an edge count as outliers, so that explanations by other lines are comparable.
         """
         residual = found.residual
-        limit = self._settings.outlier**2 / 3.0
+        limit = _OUTLIER**2 / 3.0
         near = (np.abs(residual) < self._tolerance(scatter)).astype(float)
         white = self._whitened(residual[None], scatter, near)[0]
-        within = np.where(near > 0.0, np.minimum((white / (self._settings.outlier * scatter)) ** 2, 1.0), 1.0)
+        within = np.where(near > 0.0, np.minimum((white / (_OUTLIER * scatter)) ** 2, 1.0), 1.0)
         squares = limit * (missed * self.points.missed + float(np.sum(self._independent * (1.0 - (1.0 - within) ** 3))))
         squares += (found.spread / self._spread) ** 2
         for off, _, precision in _beliefs(found.pose, self._terminal, plane):
@@ -163,12 +149,12 @@ class Edges:
     def _trust(self, residual: Array, robust: Array, width: float) -> tuple[float, Array]:
         """Return the scatter (px) of residuals (N,) about each line's mean, and Tukey's weights (N,)."""
         mean = self._means(residual[None], robust)[0]
-        scatter = max(self._settings.noise, _spread(residual - mean))
+        scatter = max(EDGE_NOISE, _spread(residual - mean))
         whole = max(scatter, _spread(residual))
         return scatter, np.maximum(1.0 - (residual / (width * self._tolerance(whole))) ** 2, 0.0) ** 2
 
     def _tolerance(self, scatter: float) -> Array:
-        return np.asarray(self._settings.outlier * np.hypot(scatter, self._bias))
+        return np.asarray(_OUTLIER * np.hypot(scatter, self._bias))
 
     def _means(self, rows: Array, robust: Array) -> Array:
         """Return the mean over each line (k, N) of rows (k, N)."""

@@ -10,36 +10,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array
-from deltacharger_core.parameters import Bounded, number
+
+# Grey levels (0–255) above which a pixel is bright; one of them suits the light.
+_LEVELS = (25, 40, 60, 90, 125, 160, 195, 230)
+_NEIGHBOURHOOD = 61  # px, side of the window for the local mean
+_EXCESS = 12  # least excess of a locally bright pixel over the mean, grey levels
+_SHORTEST = 12.0  # px, least length of a bar
+_THINNEST = 2.0  # px, least width of a bar
+_STOUT = 1.4  # least length over width
+_SLENDER = 14.0  # largest length over width
+_FILL = 0.72  # least share of the enclosing rectangle that a blob covers
+# Differences within 3 × 3 px, of 255 in any colour, that separate pieces; one of them suits the light.
+_PARTING = (14, 28)
+_STUB = 1.1  # least length over width of a piece of a bar
+_MOST = 60  # most blobs to examine, the most rectangular first
 
 Image = NDArray[np.uint8]
 
 _LOST = 3.0  # px by which the edges around a piece, with the pixels beside them, narrow it
-
-
-@dataclass(frozen=True)
-class SegmentationSettings(Bounded):
-    """Limits of blobs.
-
-    Attributes:
-        levels: grey levels (0–255) above which a pixel is bright; one of them suits the light.
-        parting: differences within 3 × 3 px, of 255 in any colour, that separate pieces; one of them suits the light.
-
-    Raises:
-        ParameterError: a value is out of bounds.
-    """
-
-    levels: tuple[int, ...] = (25, 40, 60, 90, 125, 160, 195, 230)
-    neighbourhood: int = number(61, 3, 1001, "px", "side of the window for the local mean")
-    excess: int = number(12, 1, 254, "", "least excess of a locally bright pixel over the mean, grey levels")
-    shortest: float = number(12.0, 2.0, 1000.0, "px", "least length of a bar")
-    thinnest: float = number(2.0, 1.0, 100.0, "px", "least width of a bar")
-    stout: float = number(1.4, 1.0, 10.0, "", "least length over width")
-    slender: float = number(14.0, 2.0, 100.0, "", "largest length over width")
-    fill: float = number(0.72, 0.3, 1.0, "", "least share of the enclosing rectangle that a blob covers")
-    parting: tuple[int, ...] = (14, 28)
-    stub: float = number(1.1, 1.0, 10.0, "", "least length over width of a piece of a bar")
-    most: int = number(60, 2, 1000, "", "most blobs to examine, the most rectangular first")
 
 
 @dataclass(frozen=True)
@@ -68,22 +56,22 @@ class Blobs:
         return Blobs(self.centre[rows], self.direction[rows], self.length[rows], self.width[rows], self.fill[rows])
 
 
-def find_blobs(grey: Image, settings: SegmentationSettings) -> Blobs:
-    """Return at most `settings.most` blobs of a grey image (H, W) that may be bars or parts of bars."""
+def find_blobs(grey: Image) -> Blobs:
+    """Return at most `_MOST` blobs of a grey image (H, W) that may be bars or parts of bars."""
     import cv2
 
     smooth = cv2.GaussianBlur(grey, (3, 3), 0)
     brightest = int(smooth.max())
     rows: list[tuple[float, ...]] = []
-    for level in settings.levels:
+    for level in _LEVELS:
         if level < brightest:
-            rows += _rectangles((smooth > level).view(np.uint8), settings)
-    mean = cv2.blur(smooth, (settings.neighbourhood, settings.neighbourhood))
-    rows += _rectangles((cv2.subtract(smooth, mean) > settings.excess).view(np.uint8), settings)
-    return _chosen(rows, settings.most)
+            rows += _rectangles((smooth > level).view(np.uint8))
+    mean = cv2.blur(smooth, (_NEIGHBOURHOOD, _NEIGHBOURHOOD))
+    rows += _rectangles((cv2.subtract(smooth, mean) > _EXCESS).view(np.uint8))
+    return _chosen(rows, _MOST)
 
 
-def find_pieces(color: Image, settings: SegmentationSettings) -> Blobs:
+def find_pieces(color: Image) -> Blobs:
     """Return the uniform parts of an image (H, W, 3) that may be pieces of bars, even if something covers the bars.
 
     An equally bright object across a bar merges with it at every grey level. Its edge still separates the two.
@@ -93,9 +81,9 @@ def find_pieces(color: Image, settings: SegmentationSettings) -> Blobs:
     smooth = cv2.GaussianBlur(color, (3, 3), 0)
     change = cv2.morphologyEx(smooth, cv2.MORPH_GRADIENT, np.ones((3, 3), dtype=np.uint8)).max(axis=2)
     rows: list[tuple[float, ...]] = []
-    for parting in settings.parting:
-        rows += _rectangles((change < parting).view(np.uint8), settings, _LOST)
-    return _chosen(rows, settings.most)
+    for parting in _PARTING:
+        rows += _rectangles((change < parting).view(np.uint8), _LOST)
+    return _chosen(rows, _MOST)
 
 
 def _chosen(rows: list[tuple[float, ...]], most: int) -> Blobs:
@@ -105,7 +93,7 @@ def _chosen(rows: list[tuple[float, ...]], most: int) -> Blobs:
     return blobs.chosen(_distinct(blobs, most))
 
 
-def _rectangles(mask: Image, settings: SegmentationSettings, lost: float = 0.0) -> list[tuple[float, ...]]:
+def _rectangles(mask: Image, lost: float = 0.0) -> list[tuple[float, ...]]:
     """Return x, y, length, width, angle of the long side (rad), fill of each blob of a mask that may be a bar.
 
     If the mask shows everything too narrow by `lost` px, pieces of bars are accepted.
@@ -113,7 +101,7 @@ def _rectangles(mask: Image, settings: SegmentationSettings, lost: float = 0.0) 
     import cv2
 
     height, width = mask.shape
-    shortest, stout = (settings.shortest, settings.stout) if not lost else (0.5 * settings.shortest, settings.stub)
+    shortest, stout = (_SHORTEST, _STOUT) if not lost else (0.5 * _SHORTEST, _STUB)
     contours, family = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
     rows: list[tuple[float, ...]] = []
     for index, contour in enumerate(contours):
@@ -127,13 +115,13 @@ def _rectangles(mask: Image, settings: SegmentationSettings, lost: float = 0.0) 
         first, second = first + 1.0 + lost, second + 1.0 + lost  # the contour runs through pixel centres
         if first < second:
             first, second, degrees = second, first, degrees + 90.0
-        if first < shortest or second < settings.thinnest:
+        if first < shortest or second < _THINNEST:
             continue
-        if not stout <= first / second <= settings.slender:
+        if not stout <= first / second <= _SLENDER:
             continue
         area = cv2.contourArea(contour) + 0.5 * (1.0 + lost) * cv2.arcLength(contour, True) + (1.0 + lost) ** 2
         fill = min(area / (first * second), 1.0)
-        if fill >= settings.fill:
+        if fill >= _FILL:
             rows.append((x, y, first, second, np.radians(degrees), fill))
     return rows
 

@@ -4,14 +4,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array
-from deltacharger_core.parameters import Bounded, number
 from deltacharger_vision.detector.edges import EdgePoints
 from deltacharger_vision.detector.refine import PoseFit
 from deltacharger_vision.images import Intrinsics
@@ -19,26 +17,17 @@ from deltacharger_vision.poses import TerminalPose
 from deltacharger_vision.projection import project
 from deltacharger_vision.terminal import Terminal
 
+_SEEN = 0.55  # least visible share of both outlines
+SEEN_UNCHECKED = 0.8  # least visible share of both outlines if no depth checks the pose
+_WHOLE = 0.75  # least visible share of the clearer bar's outline
+SIDE_SEEN = 0.15  # least visible share of each long side of the other bar
+SIDES_SEEN = 0.4  # least visible share of all long sides of partly hidden bars
+END_SEEN = 0.5  # least visible share of each end of the clearer bar
+LARGEST_SCATTER = 1.0  # px, largest scatter of the edge points
+LIGHT_AROUND = 0.45  # largest light above and below the bars, relative to theirs
+DEPTH_RISE = 30.0  # largest rise of the squared error when depth is added
+
 _LONG, _ENDS = (0, 2), (1, 3)
-
-
-@dataclass(frozen=True)
-class SupportSettings(Bounded):
-    """Requirements of a detection.
-
-    Raises:
-        ParameterError: a value is out of bounds.
-    """
-
-    seen: float = number(0.55, 0.2, 1.0, "", "least visible share of both outlines")
-    unchecked: float = number(0.8, 0.0, 1.0, "", "least visible share of both outlines if no depth checks the pose")
-    whole: float = number(0.75, 0.3, 1.0, "", "least visible share of the clearer bar's outline")
-    part: float = number(0.15, 0.05, 1.0, "", "least visible share of each long side of the other bar")
-    parts: float = number(0.4, 0.05, 1.0, "", "least visible share of all long sides of partly hidden bars")
-    end: float = number(0.5, 0.1, 1.0, "", "least visible share of each end of the clearer bar")
-    scatter: float = number(1.0, 0.05, 5.0, "px", "largest scatter of the edge points")
-    around: float = number(0.45, 0.0, 1.0, "", "largest light above and below the bars, relative to theirs")
-    disagreement: float = number(30.0, 1.0, 1000.0, "", "largest rise of the squared error when depth is added")
 
 
 def outline_shares(points: EdgePoints, fit: PoseFit, outer: bool = False) -> Array:
@@ -79,17 +68,17 @@ def plate_is_dark(
     return limit, all(not inside[row].any() or float(np.nanmedian(light[row])) < limit for row in (0, 3))
 
 
-def supported(shares: Array, fit: PoseFit, settings: SupportSettings) -> float:
+def supported(shares: Array, fit: PoseFit) -> float:
     """Return the visible share (0 to 1) of the outlines, or 0 if that is too little for a pose."""
     long_sides, ends = shares[:, _LONG], shares[:, _ENDS]
     bars = 0.7 * long_sides.mean(axis=1) + 0.3 * ends.mean(axis=1)
     clear = int(np.argmax(bars))
     overall = float(bars.mean())
     enough = (
-        overall >= settings.seen
-        and bars[clear] >= settings.whole
-        and long_sides[1 - clear].min() >= settings.part
-        and ends[clear].min() >= settings.end
-        and fit.scatter <= settings.scatter
+        overall >= _SEEN
+        and bars[clear] >= _WHOLE
+        and long_sides[1 - clear].min() >= SIDE_SEEN
+        and ends[clear].min() >= END_SEEN
+        and fit.scatter <= LARGEST_SCATTER
     )
     return overall if enough else 0.0

@@ -67,7 +67,7 @@ from deltacharger_mission.parameters import MissionParameters
 from deltacharger_mission.places import BaseMount, Place
 from deltacharger_tactile import estimator, frame_window
 from deltacharger_tactile.parameters import PadDockingParameters
-from deltacharger_vision.detector.support import SupportSettings, supported
+from deltacharger_vision.detector.support import supported
 from deltacharger_vision.errors import VisionError
 from deltacharger_vision.mount import Mount
 
@@ -826,7 +826,7 @@ PADS = (
 def shows(long: float, end: float, other_long: float, other_end: float, scatter: float = 0.5) -> bool:
     """Return whether these visible shares of two bars' outlines support a detection."""
     shares, fit = [[long, end] * 2, [other_long, other_end] * 2], SimpleNamespace(scatter=scatter)
-    return supported(np.array(shares), fit, SupportSettings()) > 0.0  # type: ignore[arg-type]
+    return supported(np.array(shares), fit) > 0.0  # type: ignore[arg-type]
 
 
 def mounts(x: float = 0.0, w: float = 1.0, sigma: float = 0.002) -> bool:

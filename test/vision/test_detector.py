@@ -14,14 +14,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from deltacharger_core.parameters import ParameterError
 from deltacharger_vision.detector.annotate import annotated
 from deltacharger_vision.detector.detection import Detection
-from deltacharger_vision.detector.detector import DetectorSettings, ElectrodeDetector
-from deltacharger_vision.detector.judgement import JudgementSettings
-from deltacharger_vision.detector.plane import Plane, PlaneSettings, Region, fit_plane
+from deltacharger_vision.detector.detector import ElectrodeDetector
+from deltacharger_vision.detector.plane import Plane, Region, fit_plane
 from deltacharger_vision.errors import CameraInfoError
-from deltacharger_vision.images import Intrinsics, RgbdImage
+from deltacharger_vision.images import DEPTH_BIAS, Intrinsics, RgbdImage
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
 from deltacharger_vision.rendering.obstructions import KINDS, draw_obstruction
@@ -308,7 +306,7 @@ def test_a_slightly_wrong_focal_length_or_biased_depth_is_within_the_covariance(
 
 def test_depth_nearer_than_the_camera_measures_is_not_used() -> None:
     seen = look(pose_at(0.25, roll=0.1, pitch=0.3))
-    far = ElectrodeDetector(settings=DetectorSettings(judgement=JudgementSettings(stereo_range=0.28)))
+    far = ElectrodeDetector(stereo_range=0.28)
     assert far.detect(dataclasses.replace(seen.image, depth=seen.image.depth * np.float32(0.9))).source == "image"
 
 
@@ -363,13 +361,11 @@ def test_a_terminal_at_the_border_of_the_image_is_right_or_none(lens: Intrinsics
         assert not look(pose_at(0.28, roll, x=x, y=y), seed, camera=SimulatedCamera(lens)).off >= 0.003
 
 
-def test_a_lens_that_folds_the_image_and_settings_out_of_bounds_are_refused() -> None:
+def test_a_lens_that_folds_the_image_is_refused() -> None:
     lens = Intrinsics(640, 400, 300.0, 300.0, 319.5, 199.5, (-2.0, 0.0, 0.0, 0.0, 0.0))
     color = np.zeros((400, 640, 3), dtype=np.uint8)
     with pytest.raises(CameraInfoError, match="calibrate"):
         DETECTOR.detect(RgbdImage.make(color, np.full((400, 640), 0.3), lens))
-    with pytest.raises(ParameterError, match="smoothing"):
-        DetectorSettings(smoothing=-1.0)
 
 
 def wrong_and_sure(seen: Look) -> bool:
@@ -416,7 +412,7 @@ def test_a_strap_across_both_bars_does_not_displace_ends(color: Any, x: float, p
 
 
 def fitted(ray: np.ndarray, inverse: np.ndarray, block: np.ndarray, random: np.random.Generator) -> Plane:
-    plane = fit_plane(Region(ray, inverse, block, 1.0), PlaneSettings(), random)
+    plane = fit_plane(Region(ray, inverse, block, 1.0), DEPTH_BIAS, random)
     assert plane is not None
     return plane
 
