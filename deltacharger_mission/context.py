@@ -21,9 +21,15 @@ from deltacharger_mission.dialogue import (
 from deltacharger_mission.parameters import MissionParameters
 from deltacharger_mission.places import Place
 
+WAIT_TIMEOUT = 10.0  # s until all needed nodes answer
+LOOK_TIMEOUT = 3.0  # s for one detection
+UNDOCK_TIMEOUT = 60.0  # s for one attempt
+CANCEL_TIMEOUT = 30.0  # s for cancelled requests to end
+_NEAR = 0.5  # m from the goal within which the navigator's last place is used
 _ANSWER = 2.0  # s beyond its search time in which the detector may answer
 _UNDOCK_PAUSE = 1.0  # s between two attempts
 _STATE_DELAY = 2.0  # s by which docking_state may arrive after a result
+_LIMITS = {Stage.UNDOCK: f"{UNDOCK_TIMEOUT:g} s", Stage.RETURN: "drive_timeout"}
 _REMEDIES = {
     Task.DRIVE: "no navigator answers navigate_to_pose: activate Nav2, as this user, or set navigation to none",
     Task.DETECT: "no node serves detect_electrodes: start electrode_detector_node and its camera",
@@ -75,7 +81,7 @@ class MissionContext:
         self.status = MissionStatus(request_id=request_id)
         self.touched = self.left = False
         self.charge_time = 0.0
-        self.deadline, self.limit = math.inf, ""  # limit: name of the stage's parameter
+        self.deadline, self.limit = math.inf, ""  # limit: the stage's parameter, or its seconds
         self._calls.forget()
 
     def observe(self, observation: MissionObservation) -> None:
@@ -92,7 +98,8 @@ class MissionContext:
     def enter(self, stage: Stage, limit: float) -> None:
         """Begin a stage that may last `limit` seconds."""
         self.status.stage = stage
-        self.deadline, self.limit = self.time + limit, f"{stage.name.lower()}_timeout"
+        self.deadline = self.time + limit
+        self.limit = _LIMITS.get(stage, f"{stage.name.lower()}_timeout")
 
     def drop(self) -> None:
         """Cancel all open requests."""
@@ -100,10 +107,10 @@ class MissionContext:
         self._cancels.extend(sorted(self._calls.open))
 
     def call_off(self) -> Script[None]:
-        """Cancel all open requests and wait for their end, at most `cancel_timeout`."""
+        """Cancel all open requests and wait for their end, at most `CANCEL_TIMEOUT`."""
         self.deadline = math.inf
         self.drop()
-        end = self.time + self.parameters.cancel_timeout
+        end = self.time + CANCEL_TIMEOUT
         while self._calls.open and self.time <= end:
             yield NEXT
         self._calls.forget()
@@ -130,10 +137,10 @@ class MissionContext:
         """Wait until all needed nodes answer; docking_node must then be free.
 
         Raises:
-            NotServed: a node is missing after wait_timeout.
+            NotServed: a node is missing after `WAIT_TIMEOUT`.
             Busy: the charger is docked or busy.
         """
-        end = self.time + self.parameters.wait_timeout
+        end = self.time + WAIT_TIMEOUT
         while True:
             missing = [task for task in tasks if task not in self.observation.served]
             docking = self.observation.docking
@@ -146,13 +153,13 @@ class MissionContext:
             raise Busy(f"the charger is busy ({docking.state.name}) or docked: undock it, then send the goal again")
 
     def look(self) -> Script[TaskReply]:
-        """Request one detection, for look_timeout.
+        """Request one detection, for `LOOK_TIMEOUT`.
 
         Raises:
             ElectrodesNotFound: the detector does not answer, so other views would not help.
         """
-        number = self.send(Task.DETECT, timeout=self.parameters.look_timeout)
-        end = self.time + self.parameters.look_timeout + _ANSWER
+        number = self.send(Task.DETECT, timeout=LOOK_TIMEOUT)
+        end = self.time + LOOK_TIMEOUT + _ANSWER
         while (reply := self._calls.take(number)) is None:
             if self.time > end:
                 raise ElectrodesNotFound("detect_electrodes does not answer: check the log of electrode_detector_node")
@@ -188,7 +195,7 @@ class MissionContext:
             DockFailed, PhaseTimeout: undocking failed.
         """
         for left in reversed(range(self.parameters.undock_attempts)):
-            self.enter(Stage.UNDOCK, self.parameters.undock_timeout)
+            self.enter(Stage.UNDOCK, UNDOCK_TIMEOUT)
             reply = yield from self.answer(self.send(Task.UNDOCK))
             if reply.end is End.DONE:
                 self.touched = False
@@ -215,8 +222,7 @@ class MissionContext:
         if reply.end is not End.DONE:
             raise _drive_failure(reply, place)
         reported = reply.place
-        near = self.parameters.arrival_distance_max
-        known = reported is not None and reported.frame == place.frame and reported.distance(place) <= near
+        known = reported is not None and reported.frame == place.frame and reported.distance(place) <= _NEAR
         self.status.place = reported if known else place
 
 

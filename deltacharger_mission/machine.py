@@ -32,6 +32,8 @@ from deltacharger_mission.dialogue import (
 from deltacharger_mission.parameters import MissionParameters
 from deltacharger_mission.places import BaseMount, Place, views
 
+GAIN_MIN, GAIN_TURN_MIN = 0.005, 0.02  # m, rad; a suggested move below both is not driven
+FACING_STDDEV_MAX = math.radians(2.0)  # of a detected yaw; above it the given facing is used
 _LOOK_PAUSE = 0.5  # s between two detections from one place
 _REDOCKINGS = 2  # in a mission, after current had flowed: a pad slipped, a stage tripped; a third time is no accident
 _MENDED_BY_A_MOVE = (Code.UNREACHABLE, Code.LEANING)
@@ -217,7 +219,7 @@ class MissionMachine:
                     raise dock_failure(reply)
                 electrodes = self._suggested(reply.suggested, electrodes)
                 # Another pose would not help: only the height is wrong, the turn is too small, or all moves are used.
-                better = self._better(electrodes, parameters.gain_min, parameters.gain_turn_min)
+                better = self._better(electrodes, GAIN_MIN, GAIN_TURN_MIN)
                 if better is None:
                     raise dock_failure(reply)
                 yield from context.undock()
@@ -264,7 +266,7 @@ class MissionMachine:
         if electrodes is None or here is None:
             return None
         facing = electrodes.yaw
-        if math.isfinite(seen.yaw) and seen.yaw_stddev <= self.parameters.facing_stddev_max:
+        if math.isfinite(seen.yaw) and seen.yaw_stddev <= FACING_STDDEV_MAX:
             facing = self._mount.faced(here, seen.yaw, seen.pitch if math.isfinite(seen.pitch) else 0.0)
         return self._mount.seen_from(here, seen.position, facing)
 
@@ -290,6 +292,6 @@ class MissionMachine:
             return True
         if not self._context.left:
             return False
-        self._context.enter(Stage.RETURN, self.parameters.return_timeout)
+        self._context.enter(Stage.RETURN, self.parameters.drive_timeout)
         yield from self._context.drive(self._home)
         return True

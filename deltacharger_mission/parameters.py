@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from deltacharger_core.parameters import Bounded, choice, like, number, tunable, words
+from deltacharger_core.parameters import Bounded, choice, like, tunable, words
 from deltacharger_core.units import ON_MAP, ON_ROBOT
 from deltacharger_docking.parameters import DockingNodeParameters
 
@@ -32,30 +32,16 @@ class MissionParameters(Bounded):
         0.0, -math.pi, math.pi, "rad", "direction that the electrodes face, from x toward y"
     )
     view_distance: float = tunable(0.20, 0.08, 2.0, "m", "distance from the electrodes at which the search begins")
-    search_turn: float = tunable(0.2, 0.02, 1.0, "rad", "turn between two views")
-    search_turns: int = tunable(2, 0, 8, "", "turns to each side at each distance")
-    search_step: float = tunable(0.15, 0.01, 1.0, "m", "step back between two rows of views")
-    search_steps: int = tunable(1, 0, 5, "", "number of steps back, each by search_step")
-    look_timeout: float = tunable(3.0, 0.2, 60.0, "s", "time of one detection of the electrodes")
+    search_turns: int = tunable(2, 0, 8, "", "turns to each side at each distance, each by 0.2 rad")
+    search_steps: int = tunable(1, 0, 5, "", "number of steps back, each by 0.15 m")
     stand_tolerance: float = tunable(0.03, 0.005, 0.5, "m", "largest distance from the right place when docking starts")
     stand_turn_tolerance: float = tunable(0.05, 0.01, 1.0, "rad", "largest error of the heading when docking starts")
-    facing_stddev_max: float = tunable(
-        math.radians(2.0), 0.0, 0.5, "rad", "standard deviation of a detected yaw above which the given facing is used"
-    )
-    gain_min: float = tunable(0.005, 0.0, 0.5, "m", "least distance of a suggested move that is driven")
-    gain_turn_min: float = tunable(0.02, 0.0, 1.0, "rad", "least turn of a suggested move that is driven")
-    arrival_distance_max: float = tunable(0.5, 0.01, 10.0, "m", "distance from the goal above which no place is used")
     stands_max: int = tunable(3, 0, 10, "", "most moves to a better place for docking")
     undock_attempts: int = tunable(2, 1, 5, "", "attempts to undock before the robot stays where it is")
-    wait_timeout: float = tunable(10.0, 0.5, 600.0, "s", "limit for WAIT, until all needed nodes answer")
-    drive_timeout: float = tunable(300.0, 1.0, 86400.0, "s", "limit for DRIVE")
+    drive_timeout: float = tunable(300.0, 1.0, 86400.0, "s", "limit for DRIVE and for RETURN")
     search_timeout: float = tunable(180.0, 1.0, 3600.0, "s", "limit for SEARCH")
     dock_timeout: float = tunable(360.0, 5.0, 7200.0, "s", "limit for DOCK until current flows; above goal_timeout")
     charge_timeout: float = tunable(14400.0, 1.0, 86400.0, "s", "limit for CHARGE")
-    undock_timeout: float = tunable(60.0, 1.0, 600.0, "s", "limit for one attempt of UNDOCK")
-    return_timeout: float = tunable(300.0, 1.0, 86400.0, "s", "limit for RETURN")
-    cancel_timeout: float = tunable(30.0, 0.5, 300.0, "s", "limit for cancelled requests to end")
-    lost_timeout: float = number(5.0, 0.1, 600.0, "s", "how long an action may have no server before its goal is lost")
     mission_timeout: float = tunable(18000.0, 5.0, 172800.0, "s", "limit for a mission until its final steps begin")
 
 

@@ -11,6 +11,7 @@ from deltacharger_core.rotation import rotation
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_mission.parameters import MissionParameters
 
+SEARCH_TURN, SEARCH_STEP = 0.2, 0.15  # rad, m between two views
 _LEVEL = 0.5  # least horizontal part of charger_base's z axis that defines a heading
 
 
@@ -106,8 +107,8 @@ def views(electrodes: Place, distance: float, mount: BaseMount, parameters: Miss
     back, in steps. None is nearer than the first. There are (search_steps + 1) · (2 · search_turns + 1) of them.
     """
     for step in range(parameters.search_steps + 1):
-        place = mount.before(electrodes, distance + step * parameters.search_step)
+        place = mount.before(electrodes, distance + step * SEARCH_STEP)
         yield place
         for turn in range(1, parameters.search_turns + 1):
-            yield place.at(0.0, 0.0, turn * parameters.search_turn)
-            yield place.at(0.0, 0.0, -turn * parameters.search_turn)
+            yield place.at(0.0, 0.0, turn * SEARCH_TURN)
+            yield place.at(0.0, 0.0, -turn * SEARCH_TURN)

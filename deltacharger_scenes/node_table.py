@@ -118,7 +118,6 @@ NODES: dict[str, NodeSpec] = {
         "deltacharger_sim.charger.simulated_camera_node.SimulatedCameraNode",
         parameters=(
             "deltacharger_sim.charger.parameters.SimulatedCameraNodeParameters",
-            "deltacharger_sim.charger.parameters.ImageParameters",
             _FRAMES,
         ),
         stands_in_for="camera_node",

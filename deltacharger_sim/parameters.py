@@ -55,9 +55,6 @@ class ServoParameters(Bounded):
     stall_sag: float = number(0.0, 0.0, 1.0, "", "share of the stall torque that follows the supply voltage below 12 V")
     command_latency: float = number(0.0, 0.0, 0.2, "s", "delay until a servo obeys a command")
     reading_latency: float = number(0.0, 0.0, 0.2, "s", "age of a servo's readings")
-    ambient_temperature: float = number(28.0, -20.0, 60.0, "°C", "room temperature")
-    heating: float = number(9.0, 0.0, 100.0, "K/A²", "final temperature rise per squared current")
-    heating_time: float = number(600.0, 10.0, 10000.0, "s", "time constant of that rise")
 
 
 @dataclass(frozen=True)
@@ -68,13 +65,6 @@ class ContactParameters(Bounded):
     friction: float = number(0.3, 0.0, 10.0, "", "coefficient of Coulomb friction")
     hard_stop: float = number(0.002, 0.0005, 0.02, "m", "travel at which the electrode reaches its stop")
     hard_stop_stiffness: float = number(1e6, 1e4, 1e9, "N/m", "stiffness behind the stop")
-    pad_stiffness: float = number(
-        1.5e5,
-        1e4,
-        1e7,
-        "N/m",
-        "stiffness of each pad against yaw of the platform; slope of the tactile contact model at 78 N",
-    )
 
 
 @dataclass(frozen=True)

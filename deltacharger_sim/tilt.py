@@ -32,6 +32,9 @@ from deltacharger_sim.parameters import WorldParameters
 
 PAD = PAD_DISTANCE
 _ITERATIONS, _HALVINGS = 40, 8
+PAD_STIFFNESS = 1.5e5  # N/m of each pad against yaw of the platform: slope of the tactile contact model at 78 N
+PADS_TURN = 2.0 * PAD_STIFFNESS * PAD * PAD
+"""Moment of both pads about y while both press, N·m per rad of residual yaw."""
 _ENOUGH = 1e-3  # of the largest compression, change in the last Newton step; the error is about its square
 _SHORTEST = 1e-6  # m of half an overlap; with less, bars press as on one spot
 _OVERSHOT = -0.5  # of the slope along a Newton step; a step that ends beyond is cut back
@@ -47,11 +50,6 @@ def tilts(parameters: WorldParameters) -> bool:
     """Return whether anything tilts; if not, this module is not used."""
     target = parameters.target
     return parameters.platform.compliance > 0.0 or target.tilt_x != 0.0 or target.tilt_y != 0.0
-
-
-def pads_turn(parameters: WorldParameters) -> float:
-    """Return the moment of both pads about y while both press, N·m per rad of residual yaw."""
-    return 2.0 * parameters.contact.pad_stiffness * PAD * PAD
 
 
 def level_yaw(parameters: WorldParameters) -> float:
@@ -82,7 +80,7 @@ class PlatformTilt:
         self._length, self._up = terminal.length, 0.5 * (terminal.gap + terminal.height)
         self.angles = (0.0, 0.0)
         self._load = (0.0, 0.0)  # N of the last `press`, and the compression (m) of the platform's axis
-        self._pads = pads_turn(parameters) if self._compliance > 0.0 else 0.0  # N·m/rad
+        self._pads = PADS_TURN if self._compliance > 0.0 else 0.0  # N·m/rad
         self.swing = (0.0, 0.0)
         self._lifts = False  # whether the last `press` found an end lifted or a stop reached
         self._lever = parameters.platform.lever

@@ -26,6 +26,9 @@ from deltacharger_sim.record import Record, Snapshot
 
 _APART = 0.001  # m of gap that ends a docking; a smaller one is a bounce
 _NOTHING = 1e-9  # s
+AMBIENT_TEMPERATURE = 28.0  # °C
+HEATING = 9.0  # K/A², final temperature rise of a servo per squared current
+HEATING_TIME = 600.0  # s, time constant of that rise
 T = TypeVar("T")
 
 
@@ -87,7 +90,7 @@ class World:
         self._overlap_pose: Pose | None = None
         self._was_short = self._was_parted = self._was_unpowered = self._was_lifted = False
         self._lay_wired = False  # electrodes without a contactor were on the target
-        self._temperature = [parameters.servo.ambient_temperature] * 3
+        self._temperature = [AMBIENT_TEMPERATURE] * 3
         self._goals: Vector = (0.0, 0.0, 0.0)
         self._goals_of: Vector | None = None
         self._moving: tuple[float, float, float, float] | None = None  # m/s, m/s, rad/s of the target, remaining s
@@ -272,13 +275,13 @@ class World:
         servo, torques, warm = self.parameters.servo, self.mechanics.torques, self._temperature
         if torques is not self._goals_of:
             self._goals_of = torques
-            ambient, per_torque = servo.ambient_temperature, servo.heating / servo.torque_constant**2
+            ambient, per_torque = AMBIENT_TEMPERATURE, HEATING / servo.torque_constant**2
             self._goals = (
                 ambient + per_torque * torques[0] * torques[0],
                 ambient + per_torque * torques[1] * torques[1],
                 ambient + per_torque * torques[2] * torques[2],
             )
-        share = dt / servo.heating_time if dt < servo.heating_time else 1.0
+        share = dt / HEATING_TIME if dt < HEATING_TIME else 1.0
         first, second, third = self._goals
         warm[0] += (first - warm[0]) * share
         warm[1] += (second - warm[1]) * share

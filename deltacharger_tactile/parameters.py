@@ -30,69 +30,66 @@ SHAPE = (PADS, ROWS, COLUMNS)
 FRAMES_MAX = 240
 """Most tactile frames averaged in one estimate: two seconds."""
 _DEGREE = math.pi / 180.0
+LARGEST_HOLE = 0.006  # m, as high as the ridge
 
 
 @dataclass(frozen=True)
-class PadContactParameters(Bounded):
-    """Pads, ridge and elastomer; lengths in m, tilts in rad. Raises ParameterError if a value is out of bounds."""
+class PadContactParameters:
+    """Pads, ridge and elastomer."""
 
-    pad_distance: float = number(PAD_DISTANCE, 0.02, 0.1, "m", "pad centre from the end effector's centre along x")
-    pad_side: float = number(0.024, 0.01, 0.05, "m", "side of the square pad (10 × 10 taxels)")
-    sub_samples: int = number(3, 1, 5, "", "contact points per taxel and axis")
-    ridge_length: float = number(0.046, 0.01, 0.1, "m", "length of the target's insulated ridge, along its x")
-    ridge_height: float = number(0.006, 0.003, 0.02, "m", "height of the same ridge, along its y")
-    edge_radius: float = number(0.0012, 0.0001, 0.0015, "m", "rounding of the ridge's edges")
-    crown_radius: float = number(0.060, 0.01, 10.0, "m", "radius of the ridge's crown across its height")
-    hole: float = number(0.0, 0.0, 0.006, "m", "diameter of a round hole in the middle of each ridge; 0 = none")
-    waviness: float = number(2e-5, 0.0, 2e-4, "m", "rms waviness along the ridge, drawn per rig")
-    stiffness: float = number(0.9e9, 1e7, 1e11, "Pa/m", "pressure per indentation of the elastomer")
-    hardening: float = number(1.5e-3, 1e-4, 1.0, "m", "indentation at which the pressure is twice the linear one")
-    spread_depth: float = number(1.2e-3, 1e-4, 5e-3, "m", "depth of the taxels under the skin (Boussinesq)")
+    pad_distance: float = PAD_DISTANCE  # m, pad centre from the end effector's centre along x
+    pad_side: float = 0.024  # m, side of the square pad (10 × 10 taxels)
+    sub_samples: int = 3  # contact points per taxel and axis
+    ridge_length: float = 0.046  # m, length of the target's insulated ridge, along its x
+    ridge_height: float = 0.006  # m, height of the same ridge, along its y
+    edge_radius: float = 0.0012  # m, rounding of the ridge's edges
+    crown_radius: float = 0.060  # m, radius of the ridge's crown across its height
+    hole: float = 0.0  # m, diameter of a round hole in the middle of each ridge; 0 = none
+    waviness: float = 2e-5  # m, rms waviness along the ridge, drawn per rig
+    stiffness: float = 0.9e9  # Pa/m, pressure per indentation of the elastomer
+    hardening: float = 1.5e-3  # m, indentation at which the pressure is twice the linear one
+    spread_depth: float = 1.2e-3  # m, depth of the taxels under the skin (Boussinesq)
 
 
 @dataclass(frozen=True)
-class PadDockingParameters(Bounded):
+class PadDockingParameters:
     """Differences between rigs, between dockings at one commanded pose, and the total force."""
 
-    tilt_per_x: float = number(10.0 * _DEGREE, 0.0, 60.0 * _DEGREE, "rad/m", "tilt about y per horizontal offset")
-    tilt_per_y: float = number(7.0 * _DEGREE, 0.0, 60.0 * _DEGREE, "rad/m", "tilt about x per vertical offset")
-    tilt_spread: float = number(0.009 * _DEGREE, 0.0, 1.0 * _DEGREE, "rad", "spread of both tilts, per docking")
-    tilt_bias: float = number(0.003 * _DEGREE, 0.0, 1.0 * _DEGREE, "rad", "spread of both tilts, per rig")
-    position_jitter: float = number(
-        DOCKING_JITTER, 0.0, 5e-3, "m", "standard deviation of x and y in contact, per docking"
-    )
-    angle_jitter: float = number(
-        0.19 * _DEGREE, 0.0, 2.0 * _DEGREE, "rad", "standard deviation of the angle, per docking"
-    )
-    magnet_force: float = number(MAGNET_FORCE, 0.0, 300.0, "N", "all magnets together in contact at zero offset")
-    magnet_width: float = number(MAGNET_WIDTH, 1e-3, 1.0, "m", "lateral offset that halves the magnets' pull")
-    magnet_floor: float = number(MAGNET_FLOOR, 0.0, 1.0, "", "smallest fraction of the magnets' pull")
-    magnet_spread: float = number(0.05, 0.0, 0.3, "", "relative standard deviation of the magnets, per rig")
-    push_per_ampere: float = number(38.4, 1.0, 200.0, "N/A", "push of the servos per contact current")
-    push_spread: float = number(0.05, 0.0, 0.5, "", "lognormal spread of the push, per docking")
-    current_low: float = number(0.40, 0.0, 3.0, "A", "lower end of the contact current band (paper)")
-    current_high: float = number(0.50, 0.0, 3.0, "A", "upper end of the contact current band (paper)")
+    tilt_per_x: float = 10.0 * _DEGREE  # rad/m, tilt about y per horizontal offset
+    tilt_per_y: float = 7.0 * _DEGREE  # rad/m, tilt about x per vertical offset
+    tilt_spread: float = 0.009 * _DEGREE  # rad, spread of both tilts, per docking
+    tilt_bias: float = 0.003 * _DEGREE  # rad, spread of both tilts, per rig
+    position_jitter: float = DOCKING_JITTER  # m, standard deviation of x and y in contact, per docking
+    angle_jitter: float = 0.19 * _DEGREE  # rad, standard deviation of the angle, per docking
+    magnet_force: float = MAGNET_FORCE  # N, all magnets together in contact at zero offset
+    magnet_width: float = MAGNET_WIDTH  # m, lateral offset that halves the magnets' pull
+    magnet_floor: float = MAGNET_FLOOR  # smallest fraction of the magnets' pull
+    magnet_spread: float = 0.05  # relative standard deviation of the magnets, per rig
+    push_per_ampere: float = 38.4  # N/A, push of the servos per contact current
+    push_spread: float = 0.05  # lognormal spread of the push, per docking
+    current_low: float = 0.40  # A, lower end of the contact current band (paper)
+    current_high: float = 0.50  # A, upper end of the contact current band (paper)
 
 
 @dataclass(frozen=True)
-class SensorParameters(Bounded):
+class SensorParameters:
     """The sensor's chain from force on a taxel to reading."""
 
-    hysteresis: float = number(0.04, 0.0, 0.3, "", "relative error of a whole pad, per docking")
-    creep: float = number(0.03, 0.0, 0.2, "1/decade", "relative growth per decade of time in contact")
-    creep_time: float = number(1.0, 0.01, 100.0, "s", "time constant in the logarithm of the creep")
-    gain_spread: float = number(0.15, 0.0, 0.5, "", "relative spread of the taxels' gains, per rig")
-    cross_talk: float = number(0.02, 0.0, 0.2, "", "share of its row's and its column's mean that a taxel picks up")
-    fixed_offset: float = number(0.12, 0.0, 0.4, "N", "spread of the taxels' offsets, per rig")
-    docking_offset: float = number(0.05, 0.0, 0.4, "N", "spread of the taxels' offsets, drawn in each contact")
-    noise: float = number(0.08, 0.0, 1.0, "N", "noise floor of one sample")
-    noise_gain: float = number(0.02, 0.0, 0.2, "", "noise of one sample relative to its force")
-    noise_memory: float = number(0.3, 0.0, 1.0, "", "share of the noise variance that is AR(1)")
-    noise_time: float = number(0.25, 0.001, 100.0, "s", "correlation time of that share")
-    pedestal: float = number(0.5, 0.0, 1.0, "N", "reading of an unloaded taxel, so that offsets stay visible")
-    full_scale: float = number(9.0, 1.0, 20.0, "N", "largest force that the sensor reports (paper)")
-    bits: int = number(10, 4, 16, "bit", "resolution over pedestal plus full scale")
-    dead_taxels: int = number(1, 0, 20, "", "taxels of a rig that read nothing (NaN)")
+    hysteresis: float = 0.04  # relative error of a whole pad, per docking
+    creep: float = 0.03  # 1/decade, relative growth per decade of time in contact
+    creep_time: float = 1.0  # s, time constant in the logarithm of the creep
+    gain_spread: float = 0.15  # relative spread of the taxels' gains, per rig
+    cross_talk: float = 0.02  # share of its row's and its column's mean that a taxel picks up
+    fixed_offset: float = 0.12  # N, spread of the taxels' offsets, per rig
+    docking_offset: float = 0.05  # N, spread of the taxels' offsets, drawn in each contact
+    noise: float = 0.08  # N, noise floor of one sample
+    noise_gain: float = 0.02  # noise of one sample relative to its force
+    noise_memory: float = 0.3  # share of the noise variance that is AR(1)
+    noise_time: float = 0.25  # s, correlation time of that share
+    pedestal: float = 0.5  # N, reading of an unloaded taxel, so that offsets stay visible
+    full_scale: float = 9.0  # N, largest force that the sensor reports (paper)
+    bits: int = 10  # bit, resolution over pedestal plus full scale
+    dead_taxels: int = 1  # taxels of a rig that read nothing (NaN)
 
 
 @dataclass(frozen=True)

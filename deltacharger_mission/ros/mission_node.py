@@ -102,7 +102,6 @@ class MissionNode(Node):
             self,
             navigate_to_pose,
             trees,
-            settings.lost_timeout,
             lambda detection: in_charger_base(detection, self._frames),
             self._end_effector,
         )

@@ -23,6 +23,7 @@ from deltacharger_ros.messages import duration
 from deltacharger_ros.qos import SERVICE
 from deltacharger_ros.sent_goal import FORGOTTEN, LOST, REFUSED
 
+_LOST_TIMEOUT = 5.0  # s that an action may have no server before its goal is lost
 _ENDS = {
     GoalStatus.STATUS_SUCCEEDED: End.DONE,
     GoalStatus.STATUS_CANCELED: End.CANCELED,
@@ -38,7 +39,6 @@ class Others:
         node: owns clients and subscription.
         navigate_to_pose: type of that action; None without navigation.
         trees: behavior trees for a drive and for a small move near the target; empty = the navigator's own.
-        lost_timeout: of the actions, see `ActionCaller`.
         place: returns a detection in charger_base.
         end_effector: full name of this frame.
     """
@@ -48,7 +48,6 @@ class Others:
         node: Node,
         navigate_to_pose: Any,
         trees: tuple[str, str],
-        lost_timeout: float,
         place: Callable[[Any], Any],
         end_effector: str,
     ) -> None:
@@ -63,7 +62,7 @@ class Others:
         self.dock_result = unknown_dock(end_effector)
         self._detector: Any = node.create_client(DetectElectrodes, Task.DETECT.value, qos_profile=SERVICE)
         self._callers = {
-            task: ActionCaller(node, kind, task.value, self._on_end(read), lost_timeout)
+            task: ActionCaller(node, kind, task.value, self._on_end(read), _LOST_TIMEOUT)
             for task, kind, read in (
                 (Task.DOCK, Dock, self._read_dock),
                 (Task.UNDOCK, Undock, read_dock),

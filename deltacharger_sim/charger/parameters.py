@@ -6,25 +6,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from deltacharger_core.machine import DOCK_DISTANCE
-from deltacharger_core.parameters import Bounded, flag, like, number, pose, words
+from deltacharger_core.parameters import Bounded, flag, number, pose, words
 from deltacharger_vision.hand_eye.board import LARGEST, SMALLEST
 from deltacharger_vision.mount import Mount, pose_numbers
-from deltacharger_vision.rendering.board_drawing import bracket
 from deltacharger_vision.rendering.camera import OAK_D
-from deltacharger_vision.rendering.parameters import CameraParameters
-
-
-@dataclass(frozen=True)
-class ImageParameters(Bounded):
-    """Defects of the rendered images."""
-
-    exposure: float = like(CameraParameters, "exposure")
-    defocus: float = like(CameraParameters, "defocus")
-    motion_x: float = like(CameraParameters, "motion_x")
-    disparity_noise: float = like(CameraParameters, "disparity_noise")
-    hole_metal: float = like(CameraParameters, "hole_metal")
-    hole_glare: float = like(CameraParameters, "hole_glare")
-    hole_matte: float = like(CameraParameters, "hole_matte")
 
 
 @dataclass(frozen=True)
@@ -52,5 +37,3 @@ class SimulatedCameraNodeParameters(Bounded):
         "", "calibration board on the platform, such as apriltag:36h11:0 or charuco:4x4_50:5x4; empty = none"
     )
     board_size: float = number(0.040, SMALLEST, LARGEST, "m", "side of the tag or of a square")
-    board_marker: float = number(0.0, 0.0, LARGEST, "m", "side of a marker ({unit}); 0 = three quarters")
-    board_pose: tuple[float, ...] = pose(pose_numbers(bracket()), "of the board in end_effector")

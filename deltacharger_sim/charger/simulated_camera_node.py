@@ -27,15 +27,14 @@ from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import node_support
 from deltacharger_ros.parameters import declare_all, reject_unknown
-from deltacharger_sim.charger.parameters import ImageParameters, SimulatedCameraNodeParameters
+from deltacharger_sim.charger.parameters import SimulatedCameraNodeParameters
 from deltacharger_vision.errors import VisionError
 from deltacharger_vision.hand_eye.board import Board, parse_board
 from deltacharger_vision.images import COLOR, DEPTH
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.poses import turn
-from deltacharger_vision.rendering.board_drawing import with_board
+from deltacharger_vision.rendering.board_drawing import bracket, with_board
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
-from deltacharger_vision.rendering.parameters import CameraParameters
 from deltacharger_vision.rendering.scene import RenderedScene, shifted
 from deltacharger_vision.rendering.scene_drawing import charger_parts, draw_scene
 from deltacharger_vision.ros.publishers import CameraPublishers
@@ -81,8 +80,8 @@ def _board(given: SimulatedCameraNodeParameters) -> tuple[Board, Array] | None:
     """
     if not given.board:
         return None
-    found = parse_board(given.board, given.board_size, given.board_marker or None)
-    return found, Mount.from_numbers(given.board_pose).pose
+    found = parse_board(given.board, given.board_size)
+    return found, bracket()
 
 
 class SimulatedCameraNode(Node):
@@ -96,7 +95,6 @@ class SimulatedCameraNode(Node):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("simulated_camera_node", **kwargs)
         given = declare_all(self, SimulatedCameraNodeParameters)
-        defects = declare_all(self, ImageParameters)
         frames = declare_all(self, FrameParameters)
         reject_unknown(self)
         self._period = 1.0 / given.rate
@@ -105,9 +103,7 @@ class SimulatedCameraNode(Node):
             self._mount = _mounted(given, self._random)
             self._target = _target_pose(given)
             self._scene = _scene(given, self._random)
-            self._camera = SimulatedCamera(
-                OAK_D.scaled(given.width, given.height), CameraParameters(**dataclasses.asdict(defects))
-            )
+            self._camera = SimulatedCamera(OAK_D.scaled(given.width, given.height))
             self._board = _board(given)
         except VisionError as error:
             raise node_support.StartupError(f"simulated_camera_node: {error}") from error

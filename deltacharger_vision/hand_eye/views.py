@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array
 from deltacharger_core.machine import JOINTS
-from deltacharger_core.parameters import Bounded, number
 from deltacharger_vision.errors import VisionError
 from deltacharger_vision.hand_eye.board import Sighting
 from deltacharger_vision.images import Intrinsics
@@ -58,24 +57,20 @@ class View:
 
 
 @dataclass(frozen=True)
-class Beliefs(Bounded):
+class Beliefs:
     """Knowledge before the views. Standard deviations without a source are assumed.
 
     Attributes:
         offset: (3,) m, origin of the board in end_effector.
-
-    Raises:
-        ParameterError: a value is out of bounds.
     """
 
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    offset_stddev: float = number(0.0005, 0.0, 0.1, "m", "of each coordinate of `offset`, measured by hand")
-    joint_stddev: float = number(0.001745, 0.0, 0.2, "rad", "of each arm's constant angle error (0.1°)")
-    arm_stddev: float = number(0.0001, 1e-6, 0.1, "m", "scatter of a position; corrected by the views")
-    pixel_stddev: float = number(0.1, 1e-3, 10.0, "px", "scatter of a corner; corrected by the views")
+    offset_stddev: float = 0.0005  # m, of each coordinate of `offset`, measured by hand
+    joint_stddev: float = 0.001745  # rad, of each arm's constant angle error (0.1°)
+    arm_stddev: float = 0.0001  # m, scatter of a position; corrected by the views
+    pixel_stddev: float = 0.1  # px, scatter of a corner; corrected by the views
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         if len(self.offset) != 3 or not np.isfinite(self.offset).all() or np.abs(self.offset).max() > 1.0:
             raise HandEyeError(f"the board's offset is {self.offset}; give three lengths within ±1 m")
 

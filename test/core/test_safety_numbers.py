@@ -66,7 +66,6 @@ from deltacharger_mission.machine import MissionMachine
 from deltacharger_mission.parameters import MissionParameters
 from deltacharger_mission.places import BaseMount, Place
 from deltacharger_tactile import estimator, frame_window
-from deltacharger_tactile.parameters import PadDockingParameters
 from deltacharger_vision.detector.support import supported
 from deltacharger_vision.errors import VisionError
 from deltacharger_vision.mount import Mount
@@ -870,7 +869,6 @@ SETTINGS = (
     *settable(DockingParameters, ("power_age_max", 2.0, 2.1), ("detection_age_max", 10.0, 10.1)),
     *settable(ServoNodeParameters, ("current_max", 4.1, 4.2), ("current_bound", 4.1, 4.2)),
     *settable(MeasuredServo, ("stiffness", 0.5, 0.4), ("stiffness", 160.0, 161.0), ("torque_constant", 0.1, 0.09)),
-    *settable(PadDockingParameters, ("position_jitter", 5e-3, 6e-3)),
     *settable(TactileNodeParameters, ("pitch", 1e-4, 9e-5), ("rate", 200.0, 201.0)),
 )
 

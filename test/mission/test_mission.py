@@ -16,8 +16,9 @@ from deltacharger_core.rotation import Pose, composed
 from deltacharger_docking.codes import Busy, Canceled, Code, Rejected, State
 from deltacharger_docking.observation import BasePose, ElectrodePose
 from deltacharger_mission.dialogue import DockingReport, End, MissionGoal, Stage, Task, TaskReply, TaskRequest
+from deltacharger_mission.machine import FACING_STDDEV_MAX, GAIN_TURN_MIN
 from deltacharger_mission.parameters import MissionParameters
-from deltacharger_mission.places import BaseMount, Place, views, wrapped
+from deltacharger_mission.places import SEARCH_STEP, SEARCH_TURN, BaseMount, Place, views, wrapped
 
 from .missions import (
     FORWARD,
@@ -45,12 +46,9 @@ QUICK = MissionParameters(
     search_timeout=120.0,
     dock_timeout=30.0,
     charge_timeout=300.0,
-    undock_timeout=20.0,
-    return_timeout=60.0,
-    cancel_timeout=10.0,
     mission_timeout=1000.0,
 )
-LONGEST = 1000.0 + 2 * 10.0 + 2 * (20.0 + 1.0) + 2 * 2.0 + 60.0 + 1.0
+LONGEST = 1000.0 + 2 * 30.0 + 2 * (60.0 + 1.0) + 2 * 2.0 + 60.0 + 1.0
 """Longest time (s) of a mission with QUICK: its limit and its final steps."""
 
 angles = st.floats(-math.pi, math.pi)
@@ -151,8 +149,8 @@ def test_the_views_are_bounded_and_never_nearer_than_the_first(
     first = places[0]
     for place in places:
         gap = place.distance(electrodes)
-        assert distance - 1e-9 <= gap <= distance + steps * parameters.search_step + 1e-9
-        assert place.turn(first) <= turns * parameters.search_turn + 1e-9 or turns * parameters.search_turn > math.pi
+        assert distance - 1e-9 <= gap <= distance + steps * SEARCH_STEP + 1e-9
+        assert place.turn(first) <= turns * SEARCH_TURN + 1e-9 or turns * SEARCH_TURN > math.pi
 
 
 def test_electrodes_beside_the_first_view_are_found_from_another() -> None:
@@ -200,7 +198,7 @@ def test_the_robot_takes_a_suggested_base_pose_with_its_heading(yaw: float, moun
 
 
 def test_an_unsure_yaw_causes_no_turn() -> None:
-    stddev = 1.01 * QUICK.facing_stddev_max
+    stddev = 1.01 * FACING_STDDEV_MAX
     world = quick(truth=Truth(TARGET.at(0.0, 0.0, FIVE), lean_stddev=stddev))
     assert world.run().success
     world.base = world.bases[0]
@@ -244,7 +242,7 @@ ENDS: list[tuple[dict[Task, Answer], Code, bool, bool, list[Stage], str]] = [
     ({Task.DOCK: FOR_EVER}, Code.TIMEOUT, True, True, WAY_HOME, "charge_timeout"),
     ({Task.UNDOCK: fails(Code.STUCK, True)}, Code.STUCK, False, False, [Stage.UNDOCK], "stays"),
     ({Task.UNDOCK: fails(Code.CONTACTOR_WELDED)}, Code.CONTACTOR_WELDED, False, False, [Stage.UNDOCK], "stays"),
-    ({Task.UNDOCK: silent}, Code.TIMEOUT, False, False, [Stage.UNDOCK], "undock_timeout"),
+    ({Task.UNDOCK: silent}, Code.TIMEOUT, False, False, [Stage.UNDOCK], "60 s"),
     ({Task.UNDOCK: in_turn(fails(Code.STUCK, True), undock)}, Code.NONE, False, True, WAY_HOME, ""),
     (  # the first error is kept, and the later one reported
         {Task.DOCK: fails(Code.CRITICAL_ANGLE), Task.UNDOCK: fails(Code.STUCK)},
@@ -281,7 +279,7 @@ def test_a_mission_has_its_own_limit() -> None:
     ("base", "moves"),
     [
         (BasePose(0.0, 0.0, 0.0, 0.2), QUICK.stands_max),
-        (BasePose.before((0.0, 0.0, DOCK_DISTANCE), 0.9 * QUICK.gain_turn_min), 1),
+        (BasePose.before((0.0, 0.0, DOCK_DISTANCE), 0.9 * GAIN_TURN_MIN), 1),
     ],
     ids=["always askew", "a turn that is not worth it"],
 )

@@ -20,7 +20,7 @@ from deltacharger_sim.parameters import (
     TargetParameters,
     WorldParameters,
 )
-from deltacharger_sim.tilt import PAD, PlatformTilt, pads_turn, tilts
+from deltacharger_sim.tilt import PAD, PADS_TURN, PlatformTilt, tilts
 from deltacharger_tactile.contact import ContactModel
 
 ArmFactory = Callable[..., Any]
@@ -175,7 +175,7 @@ def test_tilt_moves_the_terminals_and_so_the_clearance_unless_friction_holds_the
 @pytest.mark.parametrize("force", [60.0, 78.0, 100.0])
 def test_the_pads_moment_agrees_with_the_tactile_contact_model(force: float) -> None:
     """One stiffness represents a force-dependent one: within a tenth at 60 to 100 N."""
-    model, turn = ContactModel(), pads_turn(WorldParameters())
+    model, turn = ContactModel(), PADS_TURN
     distance = model.parameters.pad_distance
     assert distance == PAD
     for residual in (1e-4, 3e-3, 0.05):

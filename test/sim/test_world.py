@@ -189,8 +189,11 @@ class TestServos:
         assert mechanics.torques == pytest.approx(tight.world.mechanics.torques, abs=2e-3)
         assert tight.world.mechanics.slack == (0.0, 0.0, 0.0)
 
-    def test_a_loaded_servo_warms_and_a_resting_one_cools(self, arm: ArmFactory) -> None:
-        hot = arm(WorldParameters(servo=plain_servo(heating_time=10.0)), step=0.1)
+    def test_a_loaded_servo_warms_and_a_resting_one_cools(
+        self, arm: ArmFactory, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr("deltacharger_sim.world.HEATING_TIME", 10.0)
+        hot = arm(WorldParameters(servo=plain_servo()), step=0.1)
         hot.dock(0.02)
         hot.run(20.0)
         warm = [hot.world.servo(index)[4] for index in range(3)]

@@ -229,5 +229,3 @@ def test_invalid_values_are_refused() -> None:
             View(np.array([0.0, 0.0, place]), view.sighting, view.slope)
     with pytest.raises(HandEyeError, match="offset"):
         Beliefs((0.0, 20.0, 0.0))
-    with pytest.raises(ValueError, match="offset_stddev"):
-        Beliefs(offset_stddev=-1.0)

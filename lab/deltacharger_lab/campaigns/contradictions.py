@@ -99,7 +99,7 @@ def _pads(ends: _Ends) -> Iterator[_Problem]:
         second_family({name: pair[name.removeprefix("second.") in above] for name, pair in second.items()})
     if ends.get("pads") == (SECOND, SECOND):
         for name in ends:
-            if name.startswith(("tactile.", "electrode.")):
+            if name.startswith("electrode."):
                 yield name, ends[name][0], "has no effect if pads is second, which has its own family; remove one"
     if "estimator.model" in ends and ends.get("estimator.paper") == (True, True):
         yield "estimator.model", ends["estimator.model"][0], "has no effect if estimator.paper is true; remove one"

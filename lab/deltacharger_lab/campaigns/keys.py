@@ -7,7 +7,7 @@ import functools
 import math
 from dataclasses import dataclass, field
 
-from deltacharger_core.parameters import Declaration, choice, declared, flag, like, number
+from deltacharger_core.parameters import Declaration, choice, declared, flag, number
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.profile import TargetProfile
 from deltacharger_lab.campaigns.assumed import Assumed
@@ -15,7 +15,7 @@ from deltacharger_lab.campaigns.disturbances import Nudge, Parked, Taxels
 from deltacharger_lab.campaigns.pads import FIRST, PACKAGED, PADS, POSE_MODELS
 from deltacharger_lab.second.parameters import SecondParameters
 from deltacharger_sim.parameters import WorldParameters
-from deltacharger_tactile.parameters import PadContactParameters, TactileParameters
+from deltacharger_tactile.parameters import LARGEST_HOLE
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class _Shift:
 class _Electrode:
     """Properties of the target's electrodes in contact with the pads."""
 
-    hole: float = like(PadContactParameters, "hole")
+    hole: float = number(0.0, 0.0, LARGEST_HOLE, "m", "diameter of a round hole in the middle of each ridge; 0 = none")
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,6 @@ TAKEN = {
         for axis in (*"xyz", "roll")
     },
     **{f"world.gravity_{axis}": "give gravity.tilt and gravity.azimuth" for axis in "xyz"},
-    "tactile.contact.hole": "give electrode.hole",
     "world.step": "a campaign steps the world itself",
     "docking.servo_stiffness": "it follows world.servo.stiffness; for a wrong value give assumed.servo_stiffness",
     "docking.torque_constant": "it follows world.servo.torque_constant; for a wrong value give assumed.torque_constant",
@@ -166,7 +165,6 @@ FACTS = ("second.dimensions.", "second.docking.")
 PARTS = {
     "": _Campaign,
     "world": WorldParameters,
-    "tactile": TactileParameters,
     "second": SecondParameters,
     "docking": DockingParameters,
     "profile": TargetProfile,

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from deltacharger_core.machine import DOCK_DISTANCE
@@ -14,7 +15,7 @@ from deltacharger_lab.campaigns.assumed import assumed_gravity, tilted_gravity
 from deltacharger_lab.campaigns.spread import Value
 from deltacharger_lab.second.parameters import PlatformRestParameters, SecondParameters
 from deltacharger_sim.parameters import WorldParameters
-from deltacharger_tactile.parameters import TactileParameters
+from deltacharger_tactile.parameters import PadContactParameters, TactileParameters
 
 NOMINAL: Vector = (0.0, 0.0, DOCK_DISTANCE)  # m, charger_base; origin of a target's offsets
 AXES = ("x", "y", "z", "roll")
@@ -45,9 +46,8 @@ def build_parts(values: Mapping[str, Value]) -> tuple[WorldParameters, TactilePa
     if world.magnets.force == 0.0:  # a charger built without magnets is known to have none
         given["magnet_force"] = 0.0
     docking = from_mapping(given | nested(values, "docking"), DockingParameters, "docking")
-    pads = nested(values, "tactile")
-    pads.setdefault("contact", {}).update(nested(values, "electrode"))
-    return world, from_mapping(pads, TactileParameters, "tactile"), docking
+    contact = replace(PadContactParameters(), **nested(values, "electrode"))
+    return world, TactileParameters(contact=contact), docking
 
 
 def target_lean(values: Mapping[str, Value]) -> tuple[float, float]:

@@ -22,7 +22,7 @@ DEFAULT = "default"
 _PACKAGED = Path(__file__).parents[1] / "scenes"
 SECTIONS = (
     *("target", "shift", "electrode", "camera", "hand_eye", "gravity", "estimator", "assumed", "taxels", "pads"),
-    *("published", "hostile", "targets", "profile", "parked", "nudge", "world", "tactile", "second", "docking"),
+    *("published", "hostile", "targets", "profile", "parked", "nudge", "world", "second", "docking"),
 )
 _BASE = "based_on"
 _TOP = ("name", "description", _BASE, "dockings", *SECTIONS)

@@ -17,7 +17,7 @@ from typing import Any
 from deltacharger_lab.mujoco.springs import IMPEDANCE, share, share_impedance, spring
 from deltacharger_sim.bars import Bars
 from deltacharger_sim.parameters import WorldParameters
-from deltacharger_sim.tilt import PAD, level_yaw, pads_turn
+from deltacharger_sim.tilt import PAD, PADS_TURN, level_yaw
 
 POINTS = 24  # of each bar; with 8, a contact with one lifted end presses up to 1 % less
 INERTIA = 2.3e-4  # kg·m² of the platform about x and about y: 0.274 kg over a plate of 0.1 m
@@ -102,7 +102,7 @@ def set_springs(model: Any, parameters: WorldParameters) -> None:
         return
     for name, hinge, stiffness in (
         *((hinge, hinge, 1.0 / compliance) for hinge in _HINGES),
-        (_PADS, _HINGES[1], pads_turn(parameters)),
+        (_PADS, _HINGES[1], PADS_TURN),
     ):
         inverse = float(model.dof_invweight0[model.jnt_dofadr[model.joint(hinge).id]])
         model.eq_solref[model.equality(name).id] = spring(stiffness, inverse)
@@ -124,7 +124,7 @@ class MujocoLean:
         self._hinges = [int(model.joint(name).qposadr[0]) for name in names]
         self._pads = int(model.equality(_PADS).id) if names else -1
         self._about_y = int(model.joint(_HINGES[1]).dofadr[0]) if names else -1
-        self._tip, self._yaw = pads_turn(parameters), level_yaw(parameters)
+        self._tip, self._yaw = PADS_TURN, level_yaw(parameters)
 
     def lie(self, position: tuple[float, float, float], x: float, y: float) -> None:
         """Place the points on the bars' overlap with the target's centre at (x, y) in end_effector, m.

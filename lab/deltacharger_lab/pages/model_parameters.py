@@ -11,7 +11,6 @@ from deltacharger_docking.profile import TargetProfile
 from deltacharger_lab.campaigns.keys import FACTS, PARTS, known_keys
 from deltacharger_lab.second.parameters import SecondParameters
 from deltacharger_sim.parameters import WorldParameters
-from deltacharger_tactile.parameters import TactileParameters
 
 
 def sections() -> str:
@@ -22,7 +21,6 @@ def sections() -> str:
     tables = {
         "Target profiles": declared(TargetProfile),
         "Simulated world": declared(WorldParameters),
-        "First contact physics": declared(TactileParameters),
         "Second contact physics": second,
         "Campaign scenes": campaigns,
     }

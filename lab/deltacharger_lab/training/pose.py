@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array
 from deltacharger_core.machine import PADS
-from deltacharger_core.parameters import ParameterError
 from deltacharger_lab.training.estimator import TrainablePoseEstimator
 from deltacharger_sim.pads.generator import measure
 from deltacharger_sim.pads.sensor import Rig
@@ -28,7 +27,7 @@ from deltacharger_tactile.dataset import Dataset
 from deltacharger_tactile.errors import DatasetError
 from deltacharger_tactile.estimator import THRESHOLD, to_pose, to_seat
 from deltacharger_tactile.parameters import (
-    PadContactParameters,
+    LARGEST_HOLE,
     PadDockingParameters,
     SensorParameters,
     TactileParameters,
@@ -258,10 +257,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     output = options.output or MODEL_PATHS[options.threshold]
     if not output.parent.is_dir():
         parser.error(f"--output {output}: the folder {output.parent} does not exist; make it")
-    try:
-        PadContactParameters(hole=1e-3 * options.hole_mm)
-    except ParameterError as error:
-        parser.error(f"--hole-mm: {error}")
+    if not 0.0 <= 1e-3 * options.hole_mm <= LARGEST_HOLE:
+        parser.error(f"--hole-mm: {options.hole_mm:g} is outside 0 to {1e3 * LARGEST_HOLE:g}")
     if options.hole_mm and not options.output:
         parser.error("--hole-mm: the packaged models know no holes; give --output FILE")
     model = train(threshold=options.threshold, hole=1e-3 * options.hole_mm)
