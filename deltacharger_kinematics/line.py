@@ -27,6 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from deltacharger_core.arrays import Array, Mask
 from deltacharger_core.machine import JOINT_SPEED
+from deltacharger_core.parameters import Bounded, number
 from deltacharger_kinematics.arguments import as_vectors
 from deltacharger_kinematics.delta import Delta
 from deltacharger_kinematics.geometry import LONGEST, Vector
@@ -48,7 +49,7 @@ _STRETCHED = 1e-5  # margin (about 1 µm from the edge of reach) below which an 
 
 
 @dataclass(frozen=True)
-class ArmLimits:
+class ArmLimits(Bounded):
     """Speed and acceleration limits of the arms (rad/s, rad/s²); the defaults fit this charger's MX-64 at 12 V.
 
     speed: no-load speed 63 rpm = 6.60 rad/s, stall torque 6.0 N·m (vendor's e-manual). With 1.49 N·m (heaviest pose
@@ -58,10 +59,13 @@ class ArmLimits:
     kg·m² by 25.2 rad/s². This inertia is the largest row sum of m JᵀJ + I in the workspace, with m = 0.319 kg (platform
     and half of the rods) and I = 0.0122 kg·m² (rotor through the gear, other halves of the rods). Rotor and friction
     are BAM's fits of the MX-64.
+
+    Raises:
+        ParameterError: names the field; not a number within its bounds.
     """
 
-    speed: float = JOINT_SPEED  # rad/s, speed of an arm
-    acceleration: float = 25.0  # rad/s², acceleration of an arm
+    speed: float = number(JOINT_SPEED, 1e-3, 1e3, "rad/s", "speed of an arm")
+    acceleration: float = number(25.0, 1e-3, 1e6, "rad/s²", "acceleration of an arm")
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,138 +1,81 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The mock nodes' arm: three first-order servos on the real geometry, and one elastic wall to press on.
+"""The mock nodes' arm: it follows its goals, up to a plane that it presses on.
 
-It is deliberately simple: servos are spring and damper with a torque bound, the target is a plane with friction, and
-magnets act on friction only, not along z. deltacharger_sim has the realistic model; this one is for tests of nodes, not
-of physics.
+It has no mass and no friction: deltacharger_sim has the realistic arm; this one is for tests of nodes.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 from deltacharger_core.machine import (
     CURRENT_BOUND,
     DOCK_DISTANCE,
     GRAVITY,
-    MAGNET_FORCE,
     SERVO_DAMPING,
-    SERVO_INERTIA,
     SERVO_STIFFNESS,
     TORQUE_CONSTANT,
 )
 from deltacharger_kinematics.scalar import ScalarDelta
 
-Vector = tuple[float, float, float]
-
-_STEP = 0.002  # s; the stiffest motion (contact, all three servos) decays in 9 ms, so explicit steps stay stable
-
-
-@dataclass(frozen=True)
-class MockTarget:
-    """The plane that the arm presses on, and the electrodes' pose in it.
-
-    Attributes:
-        x: m, y: m, z: m, midpoint of the electrodes in charger_base; contact begins at z.
-        angle: rad about +z.
-        stiffness: N/m of the contact.
-        friction: coefficient.
-        grip: N, normal force of the magnets, for friction only.
-    """
-
-    x: float = 0.0
-    y: float = 0.0
-    z: float = DOCK_DISTANCE
-    angle: float = 0.0
-    stiffness: float = 2e4
-    friction: float = 0.3
-    grip: float = MAGNET_FORCE
+_GIVE = 0.05  # share of a way into the target that the platform goes; the servos' springs take the rest
 
 
 class MockArm:
-    """Three servos that follow their goals and a platform that presses on a `MockTarget`.
+    """Three servos, each a spring and a damper between goal and angle, that carry the arm's weight and press.
 
     Args:
-        target: to press on.
-        stiffness: N·m/rad of a servo's position loop.
-        damping: N·m·s/rad of a servo.
+        target_z: m in charger_base, plane in which contact begins; a pressed platform sticks to it.
 
     Attributes:
         angles: rad, measured.
-        goals: rad.
+        velocities: rad/s.
+        currents: A, signed: torque over torque constant.
         bounds: A, largest current of each servo.
-        torque_enabled: per servo; a servo without torque keeps its angle (its gear holds it).
+        torque_enabled: per servo; without torque of all three the arm stays, for its gears hold it.
         jammed: nothing moves, as if the magnets did not release.
     """
 
-    def __init__(self, target: MockTarget, stiffness: float = SERVO_STIFFNESS, damping: float = SERVO_DAMPING) -> None:
-        self.target = target
+    def __init__(self, target_z: float = DOCK_DISTANCE) -> None:
+        self._target_z = target_z
         self._delta = ScalarDelta()
-        self._stiffness = stiffness
-        self._damping = damping
         self.angles = list(self._delta.inverse(0.0, 0.0, 0.0))
-        self.goals = list(self.angles)
+        self.velocities, self.currents = [0.0] * 3, [0.0] * 3
         self.bounds = [CURRENT_BOUND] * 3
-        self.torque_enabled = [False, False, False]
+        self.torque_enabled = [False] * 3
         self.jammed = False
-        self._velocity = [0.0, 0.0, 0.0]
-        self._anchor: tuple[float, float] | None = None
-        self._torque = [0.0, 0.0, 0.0]
+        self._touched: tuple[float, float] | None = None
 
     @property
-    def position(self) -> Vector:
+    def position(self) -> tuple[float, float, float]:
         """Platform position, m in charger_base."""
         return self._delta.forward(*self.angles)
 
-    @property
-    def velocities(self) -> list[float]:
-        """rad/s of each servo."""
-        return list(self._velocity)
-
-    @property
-    def currents(self) -> list[float]:
-        """A of each servo, signed: torque over torque constant."""
-        return [torque / TORQUE_CONSTANT for torque in self._torque]
-
-    def advance(self, duration: float) -> None:
-        """Advance by `duration` s."""
-        steps = max(1, math.ceil(duration / _STEP))
-        for _ in range(steps):
-            self._step(duration / steps)
-
-    def _step(self, dt: float) -> None:
-        position = self.position
-        held = self._delta.holding_torque(*position, GRAVITY)
-        pressed = self._delta.torque(*position, self._contact_force(position))
+    def follow(self, goals: Sequence[float], duration: float) -> None:
+        """Go where these goals (rad) take the arm, for `duration` s."""
         before = list(self.angles)
-        for index, (hold, press) in enumerate(zip(held, pressed, strict=True)):
-            if not self.torque_enabled[index]:
-                self._torque[index] = self._velocity[index] = 0.0
-                continue
-            bound = self.bounds[index] * TORQUE_CONSTANT
-            wanted = self._stiffness * (self.goals[index] - self.angles[index]) - self._damping * self._velocity[index]
-            self._torque[index] = min(max(wanted, -bound), bound)
-            if not self.jammed:
-                self._velocity[index] += dt * (self._torque[index] - hold - press) / SERVO_INERTIA
-                self.angles[index] += dt * self._velocity[index]
-        if not math.isfinite(self.position[0]):
-            self.angles, self._velocity = before, [0.0, 0.0, 0.0]  # the rods' end stop
+        if all(self.torque_enabled) and not self.jammed:
+            held = self._delta.holding_torque(*self.position, GRAVITY)
+            free = [goal - hold / SERVO_STIFFNESS for goal, hold in zip(goals, held, strict=True)]
+            ends = self._delta.inverse(*self._stopped(self._delta.forward(*free)))
+            left = math.exp(-duration * SERVO_STIFFNESS / SERVO_DAMPING)
+            self.angles = [end + left * (angle - end) for angle, end in zip(before, ends, strict=True)]
+        for index, powered in enumerate(self.torque_enabled):
+            velocity = (self.angles[index] - before[index]) / duration
+            torque = SERVO_STIFFNESS * (goals[index] - self.angles[index]) - SERVO_DAMPING * velocity
+            bound = self.bounds[index] if powered else 0.0
+            self.currents[index] = min(max(torque / TORQUE_CONSTANT, -bound), bound)
+            self.velocities[index] = velocity
 
-    def _contact_force(self, position: Vector) -> Vector:
-        """Return the platform's force on the target (N); friction is a spring that slides at its cone."""
-        x, y, z = position
-        depth = z - self.target.z
-        if depth <= 0.0:
-            self._anchor = None
-            return 0.0, 0.0, 0.0
-        if self._anchor is None:
-            self._anchor = (x, y)
-        normal = self.target.stiffness * depth
-        fx = self.target.stiffness * (x - self._anchor[0])
-        fy = self.target.stiffness * (y - self._anchor[1])
-        limit = self.target.friction * (normal + self.target.grip)
-        size = math.hypot(fx, fy)
-        if size > limit:
-            fx, fy = fx * limit / size, fy * limit / size
-            self._anchor = (x - fx / self.target.stiffness, y - fy / self.target.stiffness)
-        return fx, fy, normal
+    def _stopped(self, goal: tuple[float, float, float]) -> tuple[float, float, float]:
+        """Return the place of a platform that would be at `goal` (m) if the target were not there."""
+        x, y, z = goal
+        if not z > self._target_z:
+            self._touched = None
+            return goal
+        if self._touched is None:
+            self._touched = (x, y)
+        first_x, first_y = self._touched
+        deep = self._target_z + _GIVE * (z - self._target_z)
+        return first_x + _GIVE * (x - first_x), first_y + _GIVE * (y - first_y), deep

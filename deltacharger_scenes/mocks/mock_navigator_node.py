@@ -54,7 +54,6 @@ class MockNavigatorNode(Node):
         given = declare_all(self, MockNavigatorNodeParameters)
         reject_unknown(self)
         self._frame, self._speed, self._turn_speed = given.frame, given.speed, given.turn_speed
-        self._miss = (given.miss_x, given.miss_y, given.miss_yaw)
         self._fault = FaultSwitch(self, NAVIGATOR_FAULTS, given.fault_delay)
         self._action = load_navigation("nav2")
         self._place = Place(given.x, given.y, given.yaw, self._frame)
@@ -96,8 +95,7 @@ class MockNavigatorNode(Node):
             result.error_code, result.error_msg = _TF_ERROR, "the pose of the base is unknown in that frame"
             handle.abort()
             return result
-        end = goal.at(*self._miss)
-        halfway = 0.5 * self._place.distance(end)
+        halfway = 0.5 * self._place.distance(goal)
         started = last = time.monotonic()
         while not self._stopping.wait(_TICK):
             fault, now = self._fault.active(), time.monotonic()
@@ -107,16 +105,16 @@ class MockNavigatorNode(Node):
             if handle.is_cancel_requested:
                 handle.canceled()
                 return result
-            if fault == "abort" and self._place.distance(end) <= halfway:
+            if fault == "abort" and self._place.distance(goal) <= halfway:
                 result.error_code, result.error_msg = _UNKNOWN, "the way is blocked"
                 handle.abort()
                 return result
-            self._advance(end, (now - last) * (_SLOW if fault == "slow" else 1.0))
+            self._advance(goal, (now - last) * (_SLOW if fault == "slow" else 1.0))
             last = now
             if fault != "mute":
-                self._feed_back(handle, end, now - started)
-            if self._place == end:
-                self.arrived.append(end)
+                self._feed_back(handle, goal, now - started)
+            if self._place == goal:
+                self.arrived.append(goal)
                 handle.succeed()
                 return result
         handle.abort()

@@ -2,8 +2,8 @@
 """mock_servo_node: servo_node without servos, for tests of the layers above it.
 
 Subscribes: joint_trajectory. Publishes: servo_state, joint_states, /diagnostics. Serves: set_torque, reboot_servos.
-Names, units and trajectory code are servo_node's; a `MockArm` that presses on a plane replaces the hardware.
-Parameters: rate, pose of the target, and `fault`, which may be changed at runtime:
+Names, units and trajectory code are servo_node's; a `MockArm` replaces the hardware.
+Parameters: rate, the plane of the target, and `fault`, which may be changed at runtime:
 
 silence         servo_state stops
 nan_current     the currents are not measured
@@ -61,7 +61,7 @@ class MockServoNode(Node):
         self._limits = JointLimits(JOINTS, geometry.joint_min, geometry.joint_max, STALL_TORQUE)
         self._fault = FaultSwitch(self, SERVO_FAULTS, given.fault_delay)
         self._lock = threading.Lock()
-        self._arm = MockArm(given.target(), given.stiffness, given.damping)
+        self._arm = MockArm(given.target_z)
         self._goals = ServoGoals(len(JOINTS), given.current_bound, TORQUE_CONSTANT)
         self._goals.begin_at(tuple(self._arm.angles))
         self._error = [0, 0, 0]
@@ -110,8 +110,8 @@ class MockServoNode(Node):
             with self._lock:
                 self._apply_fault()
                 self._goals.advance(now)
-                self._arm.goals, self._arm.bounds = list(self._goals.angles), list(self._goals.bounds)
-                self._arm.advance(min(now - last, 0.1))
+                self._arm.bounds = list(self._goals.bounds)
+                self._arm.follow(self._goals.angles, max(now - last, 1e-3))
                 message = self._message()
                 message.header.stamp = stamp  # of the arm, however long this takes
             last = now
@@ -130,9 +130,9 @@ class MockServoNode(Node):
         message = ServoState()
         message.header.frame_id = self._frame_id
         message.name = list(JOINTS)
-        current = self._arm.currents
+        current = list(self._arm.currents)
         valid = [True] * 3
-        position, velocity = list(self._arm.angles), self._arm.velocities
+        position, velocity = list(self._arm.angles), list(self._arm.velocities)
         fault = self._fault.active()
         if fault == "nan_current":
             current = [math.nan] * 3

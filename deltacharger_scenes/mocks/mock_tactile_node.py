@@ -5,7 +5,7 @@ Subscribes: servo_state (for the end effector's position and force). Publishes: 
 battery, target_battery.
 Serves: tare, set_contactor, probe, with the real node's lease rules (by its code).
 Frames come from deltacharger_tactile's contact model, so that misalignment_node works with them.
-Parameters: rate, rig_seed, seed, pose of the target (as mock_servo_node's), and `fault`, which may be changed at
+Parameters: rate, pose of the target (its plane as mock_servo_node's), and `fault`, which may be changed at
 runtime:
 
 silence             tactile_frame stops
@@ -69,11 +69,11 @@ class MockTactileNode(Node):
         super().__init__("tactile_node", **kwargs)
         given, frames = declare_all(self, MockTactileNodeParameters), declare_all(self, FrameParameters)
         reject_unknown(self)
-        self._rate, self._target = given.rate, given.target()
+        self._given, self._rate = given, given.rate
         self._fault = FaultSwitch(self, TACTILE_FAULTS, given.fault_delay)
         self._lock = threading.Lock()
         self._model = TactileParameters()
-        self._source = ContactSource(self._model, given.rig_seed, given.seed)
+        self._source = ContactSource(self._model, 0, 0)
         self._power = MockPower()
         self._delta = ScalarDelta()
         self._position = (math.nan,) * 3
@@ -151,7 +151,7 @@ class MockTactileNode(Node):
         self._batteries.publish(None if silent else sample)
 
     def _touching(self) -> bool:
-        return self._position[2] > self._target.z
+        return self._position[2] > self._given.target_z
 
     def _sample(self, now: float, fault: str) -> TactileSample:
         """Read the pads as the board would: raw, minus tare, clipped at 0."""
@@ -160,8 +160,8 @@ class MockTactileNode(Node):
         if self._touching():
             if self._jitter is None:
                 self._jitter = self._source.begin_docking()
-            x, y = self._target.x - self._position[0], self._target.y - self._position[1]
-            pose = (x + self._jitter[0], y + self._jitter[1], self._target.angle + self._jitter[2])
+            x, y = self._given.target_x - self._position[0], self._given.target_y - self._position[1]
+            pose = (x + self._jitter[0], y + self._jitter[1], self._given.target_angle + self._jitter[2])
             pull = contact_force(self._model.docking, np.array([pose[:2]]), np.zeros(1), self._source.rig.magnets)
             force = float(pull[0]) + max(self._push, 0.0)
         else:

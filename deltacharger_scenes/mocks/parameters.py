@@ -4,19 +4,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 from deltacharger_core.machine import (
     CURRENT_BOUND,
     DOCK_DISTANCE,
     FRAME_RATE,
-    SERVO_DAMPING,
-    SERVO_STIFFNESS,
     STALL_CURRENT,
 )
 from deltacharger_core.parameters import Bounded, choice, number, words
 from deltacharger_core.units import ON_MAP
-from deltacharger_scenes.mocks.arm import MockTarget
 
 SERVO_FAULTS = ("none", "silence", "nan_current", "missing", "hardware_error", "jam")
 POWER_FAULTS = (
@@ -41,41 +38,29 @@ class MockFaultParameters(Bounded):
 
 
 @dataclass(frozen=True)
-class MockTargetParameters(Bounded):
-    """Pose of a mock's target; mock_servo_node and mock_tactile_node need equal values."""
+class MockPlaneParameters(Bounded):
+    """Plane of a mock's target; mock_servo_node and mock_tactile_node need equal values."""
 
-    target_x: float = number(0.0, -0.1, 0.1, "m", "midpoint of the target's electrodes along x")
-    target_y: float = number(0.0, -0.1, 0.1, "m", "midpoint of the target's electrodes along y")
-    target_z: float = number(MockTarget.z, 0.0, 0.2, "m", "plane in which contact begins")
-    target_angle: float = number(0.0, -math.pi / 2, math.pi / 2, "rad", "of the target about +z")
-    target_stiffness: float = number(MockTarget.stiffness, 1e3, 2e5, "N/m", "of the contact")
-    target_friction: float = number(MockTarget.friction, 0.0, 2.0, "", "coefficient of the contact")
-    target_grip: float = number(MockTarget.grip, 0.0, 200.0, "N", "normal force of the magnets, for friction only")
-
-    def target(self) -> MockTarget:
-        """Return the target."""
-        names = (item.name for item in fields(MockTarget))
-        return MockTarget(**{name: getattr(self, f"target_{name}") for name in names})
+    target_z: float = number(DOCK_DISTANCE, 0.0, 0.2, "m", "plane in which contact begins")
 
 
 @dataclass(frozen=True)
-class MockServoNodeParameters(MockTargetParameters, MockFaultParameters):
+class MockServoNodeParameters(MockPlaneParameters, MockFaultParameters):
     """How the mock servos move."""
 
     rate: float = number(100.0, 1.0, 500.0, "Hz", "cycles per second")
-    stiffness: float = number(SERVO_STIFFNESS, 1.0, 50.0, "N·m/rad", "of a servo's position loop")
-    damping: float = number(SERVO_DAMPING, 0.2, 5.0, "N·m·s/rad", "of a servo's position loop")
     current_bound: float = number(CURRENT_BOUND, 0.0, STALL_CURRENT, "A", "bound without effort")
     fault: str = choice("none", SERVO_FAULTS, _FAULT, tunable=True)
 
 
 @dataclass(frozen=True)
-class MockTactileNodeParameters(MockTargetParameters, MockFaultParameters):
+class MockTactileNodeParameters(MockPlaneParameters, MockFaultParameters):
     """Readings of the mock pads."""
 
+    target_x: float = number(0.0, -0.1, 0.1, "m", "midpoint of the target's electrodes along x")
+    target_y: float = number(0.0, -0.1, 0.1, "m", "midpoint of the target's electrodes along y")
+    target_angle: float = number(0.0, -math.pi / 2, math.pi / 2, "rad", "of the target about +z")
     rate: float = number(FRAME_RATE, 1.0, 200.0, "Hz", "tactile frames per second")
-    rig_seed: int = number(0, 0, 2**31 - 1, "", "simulated device, with its gains and offsets")
-    seed: int = number(0, 0, 2**31 - 1, "", "random numbers of noise and jitter")
     fault: str = choice("none", TACTILE_FAULTS, _FAULT, tunable=True)
 
 
@@ -105,7 +90,4 @@ class MockNavigatorNodeParameters(MockFaultParameters):
     frame: str = words("map", "of its poses; goals in another one are aborted")
     speed: float = number(0.5, 0.01, 1000.0, "m/s", "of the base")
     turn_speed: float = number(1.0, 0.01, 1000.0, "rad/s", "of the base")
-    miss_x: float = number(0.0, -1.0, 1.0, "m", "offset from a goal when it stops, x")
-    miss_y: float = number(0.0, -1.0, 1.0, "m", "offset from a goal when it stops, y")
-    miss_yaw: float = number(0.0, -1.0, 1.0, "rad", "offset from a goal when it stops, yaw")
     fault: str = choice("none", NAVIGATOR_FAULTS, _FAULT, tunable=True)

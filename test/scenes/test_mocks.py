@@ -12,12 +12,12 @@ from deltacharger.srv import DetectElectrodes
 from rclpy.node import Node
 
 from deltacharger_core.charge_port import ChargeLimits, Port, port_of
-from deltacharger_core.machine import GRAVITY, TORQUE_CONSTANT
+from deltacharger_core.machine import DOCK_DISTANCE, GRAVITY, SERVO_STIFFNESS, TORQUE_CONSTANT
 from deltacharger_core.rotation import rotation
 from deltacharger_driver.board.contactor_lease import LeaseRefused
 from deltacharger_driver.board.protocol import BoardFault
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_scenes.mocks.arm import MockArm, MockTarget
+from deltacharger_scenes.mocks.arm import MockArm
 from deltacharger_scenes.mocks.mock_detector_node import MockDetectorNode
 from deltacharger_scenes.mocks.power import CHARGE_CURRENT, MockPower
 
@@ -30,17 +30,19 @@ DELTA = ScalarDelta()
 LIMITS = ChargeLimits(10.0, 29.4)
 
 
-def powered(target: MockTarget | None = None) -> MockArm:
-    arm = MockArm(target or MockTarget())
+def powered() -> MockArm:
+    arm = MockArm()
     arm.torque_enabled = [True] * 3
-    arm.bounds = [4.1] * 3
     return arm
 
 
-def aim(arm: MockArm, position: tuple[float, float, float], stiffness: float = 15.0) -> None:
+def go(arm: MockArm, position: tuple[float, float, float]) -> None:
     """Command `position` with the arm's weight compensated, as docking does."""
     held = DELTA.holding_torque(*position, GRAVITY)
-    arm.goals = [angle + torque / stiffness for angle, torque in zip(DELTA.inverse(*position), held, strict=True)]
+    inverse = DELTA.inverse(*position)
+    goals = [angle + torque / SERVO_STIFFNESS for angle, torque in zip(inverse, held, strict=True)]
+    for _ in range(10):
+        arm.follow(goals, 0.1)
 
 
 def push(arm: MockArm) -> float:
@@ -50,37 +52,35 @@ def push(arm: MockArm) -> float:
     return DELTA.force(*arm.position, (spare[0], spare[1], spare[2]))[2]
 
 
-def test_it_reaches_its_goal_with_compensated_weight() -> None:
+def test_the_arm_is_where_its_goals_are_and_carries_its_weight() -> None:
     arm = powered()
-    aim(arm, (0.01, -0.02, 0.05))
-    arm.advance(1.0)
+    go(arm, (0.01, -0.02, 0.05))
     assert arm.position == pytest.approx((0.01, -0.02, 0.05), abs=1e-5)
     assert push(arm) == pytest.approx(0.0, abs=0.01)
 
 
-def test_at_rest_its_currents_carry_the_weight_and_the_push() -> None:
+def test_beyond_the_targets_plane_it_presses_and_sticks() -> None:
     arm = powered()
-    aim(arm, (0.0, 0.0, 0.083))
-    arm.advance(2.0)
-    depth = arm.position[2] - arm.target.z
-    assert push(arm) == pytest.approx(arm.target.stiffness * depth, rel=1e-3)
-    assert 5.0 < push(arm) < 60.0
+    go(arm, (0.0, 0.0, 0.081))
+    assert arm.position[2] == pytest.approx(DOCK_DISTANCE, abs=1e-4)
+    before = push(arm)
+    go(arm, (0.002, 0.0, 0.082))
+    assert 1.0 < before < push(arm) < 60.0
+    assert arm.position[0] < 2e-4
 
 
 def test_a_bound_clips_every_current() -> None:
     arm = powered()
     arm.bounds = [0.3] * 3
-    aim(arm, (0.0, 0.0, 0.11))
-    arm.advance(0.5)
-    assert max(abs(current) for current in arm.currents) <= 0.3 + 1e-12
+    go(arm, (0.0, 0.0, 0.11))
+    assert max(abs(current) for current in arm.currents) <= 0.3
 
 
 def test_it_stays_without_torque_or_when_jammed() -> None:
-    for arm in (MockArm(MockTarget()), powered()):
+    for arm in (MockArm(), powered()):
         arm.jammed = all(arm.torque_enabled)
         before = arm.position
-        aim(arm, (0.0, 0.0, 0.05))
-        arm.advance(0.5)
+        go(arm, (0.0, 0.0, 0.05))
         assert arm.position == before
 
 

@@ -35,7 +35,6 @@ Node parameters marked * can be set while the node runs ([tuning](bringup.md#tun
 | names of nodes | `parameters: {node: {name: value}}` of a scene |
 | [Target profiles](#target-profiles) | `name: {...}` under docking_node, for each name in `target_profiles` |
 | [Simulated world](#simulated-world) | `simulation.world` of a scene; `world` of a campaign's scene |
-| [First contact physics](#first-contact-physics) | `tactile` of a campaign's scene |
 | [Second contact physics](#second-contact-physics) | `second` of a campaign's scene |
 | [Campaign scenes](#campaign-scenes) | top level of a campaign's scene |
 """
