@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+from builtin_interfaces.msg import Time as Stamp
 from rclpy.clock import Clock, ROSClock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
@@ -19,6 +20,7 @@ from deltacharger_ros.messages import seconds
 NO_TIME_YET = "use_sim_time is set, but no message arrived on /clock: start its publisher, or set use_sim_time to false"
 _RESTS = 0.1  # s of real time without a step until /clock is reported; a simulator steps at least 50 times a second
 _BACK = 0.1  # s, smallest step back that is reported
+_LOOK = 0.1  # s between checks whether the node follows /clock
 _REMEMBERED = 2.0  # s that a step back is reported
 
 
@@ -48,6 +50,32 @@ def follows(clock: Any) -> bool:
 def steady_timer(node: Node, period: float, callback: Callable[[], None]) -> Any:
     """Return a timer of the node that runs in real time even while /clock stands still; `period` in s."""
     return node.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+
+class Stamps:
+    """Converts times from the monotonic clock to a node's clock; used by one thread.
+
+    Reading ROS time costs as much as filling a message, so it is read for each stamp only if the node follows /clock,
+    whose rate is arbitrary.
+
+    Args:
+        clock: clock of the node.
+        host: clock of the computer.
+    """
+
+    def __init__(self, clock: Clock, host: HostClock = HOST) -> None:
+        self._clock, self._host = clock, host
+        self._follows = False
+        self._due = -1.0
+
+    def at(self, instant: float) -> Stamp:
+        """Return the stamp of `instant` (s, monotonic)."""
+        if (now := self._host.now()) >= self._due:
+            self._due, self._follows = now + _LOOK, follows(self._clock)
+        # An interruption between the clocks makes the stamp older, not younger.
+        lead = int(self._clock.now().nanoseconds - 1e9 * self._host.now()) if self._follows else self._host.lead()
+        sec, nanosec = divmod(max(int(instant * 1e9) + lead, 0), 1_000_000_000)
+        return Stamp(sec=sec, nanosec=nanosec)
 
 
 class ClockWatch:
