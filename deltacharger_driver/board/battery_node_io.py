@@ -12,7 +12,7 @@ from sensor_msgs.msg import BatteryState
 from deltacharger_core.frames import CHARGER_BASE, END_EFFECTOR, FrameParameters
 from deltacharger_core.machine import ZERO_CURRENT
 from deltacharger_driver.board.samples import PowerSample
-from deltacharger_ros.flat_messages import Stamps
+from deltacharger_ros.clock import Stamps
 from deltacharger_ros.qos import LATEST
 
 PERIOD = 1.0
@@ -41,11 +41,11 @@ class BatteryPublishers:
 
     def publish(self, sample: PowerSample | None) -> None:
         """Publish both; None = no fresh sample."""
-        stamp = self._stamps.convert(time.monotonic() if sample is None else sample.time)
+        stamp = self._stamps.at(time.monotonic() if sample is None else sample.time)
         for publisher, read, frame in self._publishers:
             message = read(sample)
             message.header.frame_id = frame
-            message.header.stamp.sec, message.header.stamp.nanosec = stamp
+            message.header.stamp = stamp
             publisher.publish(message)
 
 

@@ -13,21 +13,7 @@ from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from deltacharger_core.charge_port import ChargeLimits
 from deltacharger_core.machine import COLUMNS, ROWS
 from deltacharger_driver.board.samples import PowerSample, TactileSample
-from deltacharger_ros.flat_messages import FlatPublisher, Stamps
-
-_FRAME_FIELDS = ("sequence", "device_time_us", "left", "right", "tared")
-_POWER_FIELDS = (
-    "contactor_closed",
-    "battery_voltage",
-    "target_voltage",
-    "charge_current",
-    "probe_resistance",
-    "probe_age",
-    "fault",
-    "charge_current_least",
-    "stage_steps_up",
-    "stage_voltage",
-)
+from deltacharger_ros.clock import Stamps
 
 
 def limits_of(request: SetContactor.Request) -> ChargeLimits:
@@ -48,39 +34,32 @@ class SamplePublishers:
     """
 
     def __init__(self, node: Node, qos: QoSProfile, pitch: float, frame_id: str) -> None:
-        stamps = Stamps(node.get_clock())
-        taxels = array("f", bytes(4 * ROWS * COLUMNS))
-        frame = TactileFrame(rows=ROWS, columns=COLUMNS, pitch=pitch, left=taxels, right=taxels)
-        power = ChargerPower()
-        frame.header.frame_id = power.header.frame_id = frame_id
-        frames = node.create_publisher(TactileFrame, "tactile_frame", qos_profile_sensor_data)
-        powers = node.create_publisher(ChargerPower, "charger_power", qos)
-        self._frames = FlatPublisher(frames, frame, _FRAME_FIELDS, stamps)
-        self._powers = FlatPublisher(powers, power, _POWER_FIELDS, stamps)
+        self._stamps = Stamps(node.get_clock())
+        self._frame = TactileFrame(rows=ROWS, columns=COLUMNS, pitch=pitch)
+        self._power = ChargerPower()
+        self._frame.header.frame_id = self._power.header.frame_id = frame_id
+        self._frames = node.create_publisher(TactileFrame, "tactile_frame", qos_profile_sensor_data)
+        self._powers = node.create_publisher(ChargerPower, "charger_power", qos)
 
     def frame(self, sample: TactileSample) -> None:
         """Publish a tactile frame."""
-        self._frames.publish(
-            sample.time,
-            array("Q", (sample.sequence,)),
-            array("Q", (sample.device_time_us,)),
-            *sample.pads.reshape(2, -1),
-            bytes((sample.tared,)),
-        )
+        message = self._frame
+        message.header.stamp = self._stamps.at(sample.time)
+        message.sequence, message.device_time_us, message.tared = sample.sequence, sample.device_time_us, sample.tared
+        # rclpy would check each of the taxels of a numpy array
+        message.left, message.right = (array("f", pad.tobytes()) for pad in sample.pads)
+        self._frames.publish(message)
 
     def power(self, sample: PowerSample, probe_resistance: float, probe_age: float, stage: tuple[bool, float]) -> None:
         """Publish the power stage with the last probe's ohm (NaN = none) and age in s (inf = none or void).
 
         `stage` is its `steps_up` and `stage_voltage` (V) as in `Hello`.
         """
-        power = sample.power
-        measured = (power.battery_voltage, power.target_voltage, power.charge_current, probe_resistance, probe_age)
-        self._powers.publish(
-            sample.time,
-            bytes((power.contactor_closed,)),
-            *(array("f", (value,)) for value in measured),
-            bytes((power.fault,)),
-            array("f", (power.least_current,)),
-            bytes(stage[:1]),
-            array("f", stage[1:]),
-        )
+        message, power = self._power, sample.power
+        message.header.stamp = self._stamps.at(sample.time)
+        message.contactor_closed, message.fault = power.contactor_closed, power.fault
+        message.battery_voltage, message.target_voltage = power.battery_voltage, power.target_voltage
+        message.charge_current, message.charge_current_least = power.charge_current, power.least_current
+        message.probe_resistance, message.probe_age = probe_resistance, probe_age
+        message.stage_steps_up, message.stage_voltage = stage
+        self._powers.publish(message)

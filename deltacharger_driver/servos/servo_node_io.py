@@ -23,25 +23,12 @@ from deltacharger_driver.board.protocol import PROBE_LIFETIME
 from deltacharger_driver.servos.motion_guard import ContactorState, MotionGuard
 from deltacharger_driver.servos.report import ServoReport
 from deltacharger_ros.bounded_topic import BoundedTopic
-from deltacharger_ros.clock import stamp_age
-from deltacharger_ros.flat_messages import FlatPublisher, Stamps
+from deltacharger_ros.clock import Stamps, stamp_age
 from deltacharger_ros.qos import SERVICE
 
 KEPT = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=64, reliability=ReliabilityPolicy.RELIABLE)
 """charger_power and joint_trajectory: read in every cycle, so that a flood from one sender does not hide the others."""
 
-_STATE_FIELDS = (
-    "position",
-    "velocity",
-    "current",
-    "voltage",
-    "temperature",
-    "hardware_error",
-    "torque_enabled",
-    "valid",
-    "thermal_reserve",
-    "stray",
-)
 _LISTENERS_EVERY = 10  # cycles between two checks for subscribers of joint_states
 _HOLDER = "servo_node"  # anyone may open; the name only shows who did
 _LARGEST_POWER = 1024  # bytes of a charger_power; a valid one has 80
@@ -141,39 +128,29 @@ class StatePublishers:
         self._torque_constant = torque_constant
         self._cycle = 0
         self._joints_wanted = False
-        count = len(JOINTS)
-        zero, short_zero, none = array("d", [0.0] * count), array("f", [0.0] * count), [False] * count
-        state = ServoState(name=list(JOINTS), position=zero, velocity=zero, current=zero)
-        state.voltage = state.temperature = state.thermal_reserve = short_zero
-        state.hardware_error = state.stray = array("B", bytes(count))
-        state.torque_enabled = state.valid = none
-        joint = JointState(name=[f"{joint_prefix}{name}" for name in JOINTS], position=zero, velocity=zero, effort=zero)
-        state.header.frame_id = joint.header.frame_id = frame_id
-        stamps = Stamps(node.get_clock())
-        state_topic = node.create_publisher(ServoState, "servo_state", qos)
-        self._states = FlatPublisher(state_topic, state, _STATE_FIELDS, stamps)
-        self._joint_topic = node.create_publisher(JointState, "joint_states", 10)
-        self._joints = FlatPublisher(self._joint_topic, joint, ("position", "velocity", "effort"), stamps)
+        self._state = ServoState(name=list(JOINTS))
+        self._joint = JointState(name=[f"{joint_prefix}{name}" for name in JOINTS])
+        self._state.header.frame_id = self._joint.header.frame_id = frame_id
+        self._stamps = Stamps(node.get_clock())
+        self._states = node.create_publisher(ServoState, "servo_state", qos)
+        self._joints = node.create_publisher(JointState, "joint_states", 10)
 
     def publish(self, report: ServoReport) -> None:
         """Publish the state after a cycle; joint_states only if all angles are known and it has subscribers."""
-        position, velocity = array("d", report.angle), array("d", report.velocity)
-        self._states.publish(
-            report.time,
-            position,
-            velocity,
-            array("d", report.current),
-            array("f", report.voltage),
-            array("f", report.temperature),
-            bytes(report.hardware_error),
-            bytes(report.torque_enabled),
-            bytes(report.valid),
-            array("f", report.thermal_reserve),
-            bytes(report.stray),
-        )
+        state, stamp = self._state, self._stamps.at(report.time)
+        state.header.stamp = stamp
+        state.position, state.velocity = array("d", report.angle), array("d", report.velocity)
+        state.current = array("d", report.current)
+        state.voltage, state.temperature = array("f", report.voltage), array("f", report.temperature)
+        state.hardware_error, state.stray = array("B", report.hardware_error), array("B", report.stray)
+        state.torque_enabled, state.valid = list(report.torque_enabled), list(report.valid)
+        state.thermal_reserve = array("f", report.thermal_reserve)
+        self._states.publish(state)
         if self._cycle % _LISTENERS_EVERY == 0:
-            self._joints_wanted = self._joint_topic.get_subscription_count() > 0
+            self._joints_wanted = self._joints.get_subscription_count() > 0
         self._cycle += 1
         if self._joints_wanted and not math.isnan(sum(report.angle)):
-            effort = array("d", [current * self._torque_constant for current in report.current])
-            self._joints.publish(report.time, position, velocity, effort)
+            joint = self._joint
+            joint.header.stamp, joint.position, joint.velocity = stamp, state.position, state.velocity
+            joint.effort = array("d", [current * self._torque_constant for current in report.current])
+            self._joints.publish(joint)
