@@ -31,8 +31,6 @@ class NodeSpec:
         may_restart: whether it may restart alone beside the others: it moves nothing, carries no current,
             and its end loses no state.
         lacks: what is missing in a scene without it and without a substitute.
-        needs: libraries loaded by its import besides messages, rclpy and rclpy's own, such as numpy.
-        needs_when_used: libraries loaded by some of its functions, depending on parameters or use.
     """
 
     path: str
@@ -45,8 +43,6 @@ class NodeSpec:
     takes_scene_name: bool = False
     may_restart: bool = False
     lacks: str = ""
-    needs: tuple[str, ...] = ()
-    needs_when_used: tuple[str, ...] = ()
 
     @property
     def module(self) -> str:
@@ -72,7 +68,6 @@ NODES: dict[str, NodeSpec] = {
         parameters=("deltacharger_driver.parameters.TactileNodeParameters", _FRAMES),
         port="board",
         lacks="no touch, no charging",
-        needs=("dynamixel_sdk", "serial"),
     ),
     "mock_tactile_node": NodeSpec(
         "deltacharger_scenes.mocks.mock_tactile_node.MockTactileNode",
@@ -84,7 +79,6 @@ NODES: dict[str, NodeSpec] = {
         parameters=("deltacharger_driver.parameters.ServoNodeParameters", _JOINT_FRAMES, _SERVOS),
         port="servo",
         lacks="no arm moves",
-        needs=("dynamixel_sdk", "serial"),
     ),
     "mock_servo_node": NodeSpec(
         "deltacharger_scenes.mocks.mock_servo_node.MockServoNode",
@@ -112,7 +106,6 @@ NODES: dict[str, NodeSpec] = {
         ),
         may_restart=True,
         lacks="no images except from a camera's own driver",
-        needs_when_used=("depthai", "lz4", "mcap", "zstandard"),
     ),
     "simulated_camera_node": NodeSpec(
         "deltacharger_sim.charger.simulated_camera_node.SimulatedCameraNode",
@@ -123,7 +116,6 @@ NODES: dict[str, NodeSpec] = {
         stands_in_for="camera_node",
         sees_target=True,
         may_restart=True,
-        needs_when_used=("cv2",),
     ),
     "electrode_detector_node": NodeSpec(
         "deltacharger_vision.detector.electrode_detector_node.ElectrodeDetectorNode",
@@ -134,7 +126,6 @@ NODES: dict[str, NodeSpec] = {
         ),
         may_restart=True,
         lacks="docking needs coordinates",
-        needs_when_used=("cv2", "tf2_ros"),
     ),
     "mock_detector_node": NodeSpec(
         "deltacharger_scenes.mocks.mock_detector_node.MockDetectorNode",
@@ -148,18 +139,15 @@ NODES: dict[str, NodeSpec] = {
         takes_scene_name=True,
         may_restart=True,
         lacks="dockings leave no record, unless --record asks for them",
-        needs_when_used=("lz4", "mcap", "zstandard"),
     ),
     "recording_player_node": NodeSpec(
         "deltacharger_records.recording.recording_player_node.RecordingPlayerNode",
         parameters=("deltacharger_records.parameters.RecordingPlayerNodeParameters",),
         plays=("servo_node", "tactile_node", "kinematics_node", "electrode_detector_node", "docking_node"),
-        needs_when_used=("lz4", "mcap", "mcap_ros2", "zstandard"),
     ),
     "mock_navigator_node": NodeSpec(
         "deltacharger_scenes.mocks.mock_navigator_node.MockNavigatorNode",
         parameters=("deltacharger_scenes.mocks.parameters.MockNavigatorNodeParameters",),
-        needs_when_used=("nav2_msgs", "tf2_ros"),
     ),
     "docking_node": NodeSpec(
         "deltacharger_docking.ros.docking_node.DockingNode",
@@ -173,7 +161,6 @@ NODES: dict[str, NodeSpec] = {
         ),
         named=("target_profiles", "deltacharger_docking.profile.TargetProfile"),
         lacks="no actions dock and undock",
-        needs_when_used=("tf2_ros",),
     ),
     "mission_node": NodeSpec(
         "deltacharger_mission.ros.mission_node.MissionNode",
@@ -183,10 +170,6 @@ NODES: dict[str, NodeSpec] = {
             _TRANSFORMS,
         ),
         lacks="no action charge_robot",
-        needs_when_used=("nav2_msgs", "tf2_ros"),
     ),
 }
 """In start order; closing is the reverse, so commanding nodes close first: mission_node, docking_node."""
-
-CHARGER = NodeSpec("deltacharger_sim.charger.simulated_charger.SimulatedCharger", needs=("dynamixel_sdk", "serial"))
-"""Started before the nodes of a scene with the key `simulation`; not a node."""

@@ -19,9 +19,9 @@ from catkin_pkg.package import parse_package_string
 
 from deltacharger_bringup.cli import main as cli
 from deltacharger_scenes import executables
-from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.scene import load_scene
 
+from . import libraries
 from .waiting import DEADLINE
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -108,10 +108,7 @@ def test_without_extras_rosdep_installs_what_docking_by_coordinates_needs() -> N
     assert set(HARD.values()) <= asked_for()
     assert {name: asked_for(name) - asked_for() for name in EXTRAS} == {name: {key} for name, key in EXTRAS.items()}
     assert asked_for("all") - asked_for() == extras
-    bench, rgbd = (
-        {each for name in load_scene(scene).nodes for each in (*NODES[name].needs, *NODES[name].needs_when_used)}
-        for scene in ("bench", "rgbd")
-    )
+    bench, rgbd = (set().union(*map(libraries.of, load_scene(scene).nodes)) for scene in ("bench", "rgbd"))
     modules = {"serial": "python3-serial", "tf2_ros": "tf2_ros_py"}  # its key has another name
     assert {modules.get(library, library) for library in bench} <= asked_for()
     assert rgbd - bench == {"cv2"}, "the packages of DELTACHARGER_EXTRAS=vision"

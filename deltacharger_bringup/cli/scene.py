@@ -16,7 +16,6 @@ from deltacharger_core.parameters import Declaration, declaration
 from deltacharger_scenes.following import contradictions, servos_apart
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.parameter_check import problems
-from deltacharger_scenes.parts import describe_parts, parts_text
 from deltacharger_scenes.scene import Scene, SceneError, load_scene, packaged_scenes
 from deltacharger_sim.proven import doubts
 
@@ -106,14 +105,14 @@ def _warnings(scene: Scene) -> Iterator[str]:
 
 
 def explain(options: argparse.Namespace) -> int:
-    """Show what a scene sets, starts, loads and leaves out; with --all every possible key."""
+    """Show what a scene sets, starts and cannot do; with --all every possible key."""
     scene = load_for_command(options.scene)
     keys = list(describe(scene))
     shown = keys if options.all or options.json else [key for key in keys if key["set"]]
-    parts = describe_parts(scene)
+    lacks = {name: spec.lacks for name, spec in NODES.items() if spec.lacks and not _has(scene, name)}
     if options.json:
         head = {"scene": scene.name, "description": scene.description, "file": scene.file}
-        write_json({**head, "keys": shown, **parts})
+        write_json({**head, "keys": shown, "lacks": lacks})
         return DONE
     print_text(f"{scene.name} ({_kind(scene)}): {scene.description}\n{scene.file}\n")
     for key in shown:
@@ -123,8 +122,14 @@ def explain(options: argparse.Namespace) -> int:
             print_text(f"    {'; '.join(about)}")
     if not options.all:
         print_text(f"\n{len(keys) - len(shown)} more keys have their default; --all shows them.")
-    print_text(f"\n{parts_text(parts)}")
+    for name, lack in lacks.items():
+        print_text(f"without {name}: {lack}")
     return DONE
+
+
+def _has(scene: Scene, name: str) -> bool:
+    """Return whether a scene starts a node or one that replaces it."""
+    return any(each == name or NODES[each].replaces(name) for each in scene.nodes)
 
 
 def describe(scene: Scene) -> Iterator[dict[str, Any]]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every packaged scene starts existing nodes, lists what it starts, loads and leaves out, and names missing devices."""
+"""Every packaged scene starts existing nodes, names missing devices and says what it cannot do."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ from deltacharger_bringup.cli.main import COMMANDS, build_parser, main
 from deltacharger_bringup.cli.output import WRONG_INPUT
 from deltacharger_ros.node_support import StartupError
 from deltacharger_scenes.composition import Composition
-from deltacharger_scenes.node_table import CHARGER, NODES, NodeSpec
-from deltacharger_scenes.parts import describe_parts, parts_text
-from deltacharger_scenes.scene import Scene, load_scene, packaged_scenes, parse_scene
+from deltacharger_scenes.node_table import NODES
+from deltacharger_scenes.scene import load_scene, packaged_scenes, parse_scene
+
+from .. import libraries
 
 pytestmark = pytest.mark.ros
 
@@ -55,21 +56,18 @@ def test_every_documented_use_has_a_scene(capsys: pytest.CaptureFixture[str]) ->
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_it_starts_only_installed_nodes_and_explains_started_and_missing_ones(
-    name: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    scene, installed = load_scene(name), executables()
-    for node in scene.nodes:
+def test_it_starts_only_installed_nodes(name: str) -> None:
+    installed = executables()
+    for node in load_scene(name).nodes:
         assert installed[node] == f"deltacharger_scenes.executables:{node}"
-    found = printed(capsys, "scene", "explain", name)
-    started = [part["name"] for part in found["parts"]]
-    assert [node for node in started if node in NODES] == scene.start_order()
-    assert all(part["why"] for part in found["parts"])
-    left_out = {entry["name"]: entry["why"] for entry in found["left_out"] if entry["kind"] == "node"}
-    assert set(left_out) - {"simulated charger"} == set(NODES) - set(scene.nodes)
-    for node, why in left_out.items():
-        lacks = NODES[node].lacks if node in NODES else ""
-        assert lacks in why or any(NODES[other].replaces(node) for other in scene.nodes), (node, why)
+
+
+def test_explain_says_what_a_scene_cannot_do_unless_another_node_does_it(capsys: pytest.CaptureFixture[str]) -> None:
+    assert printed(capsys, "scene", "explain", "tactile_lab")["lacks"]["docking_node"] == "no actions dock and undock"
+    for scene, replaced in (("mocks", "servo_node"), ("replay", "tactile_node"), ("simulated", "servo_node")):
+        assert replaced not in printed(capsys, "scene", "explain", scene)["lacks"]
+    assert main(["scene", "explain", "tactile_lab"]) == 0
+    assert "without servo_node: no arm moves" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("name", HARDWARE)
@@ -126,29 +124,6 @@ def test_a_command_that_a_scene_cannot_serve_is_refused_before_anything_starts(
     assert reason in capsys.readouterr().err
 
 
-def effects(scene: Scene) -> dict[str, str]:
-    return {entry["name"]: entry["why"] for entry in describe_parts(scene)["left_out"] if entry["kind"] == "effect"}
-
-
-def test_a_zero_effect_is_left_out_and_others_are_computed() -> None:
-    key = "simulation.world.magnets.force"
-    off = parse_scene({"simulation": {"world": {"magnets": {"force": 0.0}, "servo": {"backlash": 0.01}}}}, "x")
-    assert "is 0" in effects(off)[key]
-    assert "simulation.world.servo.backlash" not in effects(off)
-    assert key not in effects(parse_scene({"simulation": {}}, "x"))
-    alone = parse_scene({"simulation": {"world": {"target": {"present": False}}}}, "x")
-    assert "present is false" in effects(alone)["simulation.world.target"]
-
-
-def test_mocks_need_no_driver_and_hardware_no_simulated_charger() -> None:
-    mocks = describe_parts(load_scene("mocks"))
-    assert not {"serial", "dynamixel_sdk"} & set(mocks["imports"])
-    bench = describe_parts(load_scene("bench"))
-    assert bench["computes"] == []
-    assert "simulated charger" in {entry["name"] for entry in bench["left_out"]}
-    assert "leaves out:" in parts_text(bench)
-
-
 # Imports what every node has, then each module in a separate child, and prints what that loaded in addition.
 NEEDED = """
 import importlib, json, os, sys
@@ -172,17 +147,23 @@ def is_library(name: str) -> bool:
     return name not in sys.stdlib_module_names and not MESSAGES.fullmatch(name) and not name.startswith("_")
 
 
+MODULES = {
+    "simulated_charger": "deltacharger_sim.charger.simulated_charger",
+    **{name: spec.module for name, spec in NODES.items()},
+}
+
+
 @pytest.mark.rest
 def test_a_nodes_import_loads_the_libraries_in_the_table() -> None:
-    table = {spec.module: set(spec.needs) for spec in (CHARGER, *NODES.values())}
+    table = {module: set(libraries.AT_ONCE.get(name, ())) for name, module in MODULES.items()}
     ran = subprocess.run([sys.executable, "-c", NEEDED, *table], capture_output=True, text=True, check=True)
     loaded = {module: set(filter(is_library, found)) for module, found in map(json.loads, ran.stdout.splitlines())}
     assert loaded == table
 
 
-@pytest.mark.parametrize("spec", [CHARGER, *NODES.values()], ids=lambda spec: spec.path.rpartition(".")[2])
-def test_a_nodes_sources_import_the_libraries_in_the_table(spec: NodeSpec) -> None:
+@pytest.mark.parametrize("name", MODULES)
+def test_a_nodes_sources_import_the_libraries_in_the_table(name: str) -> None:
     finder = ModuleFinder(path=[str(ROOT)], excludes=WITH_RCLPY)
-    finder.load_file(str(ROOT.joinpath(*spec.module.split(".")).with_suffix(".py")))
+    finder.load_file(str(ROOT.joinpath(*MODULES[name].split(".")).with_suffix(".py")))
     found = {name.split(".")[0] for name in finder.badmodules} - {"rclpy", *WITH_RCLPY}
-    assert set(filter(is_library, found)) == {*spec.needs, *spec.needs_when_used}
+    assert set(filter(is_library, found)) == libraries.of(name)

@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Libraries of nodes, and of simulated_charger, besides messages, rclpy and rclpy's own, such as numpy."""
+
+from __future__ import annotations
+
+AT_ONCE: dict[str, tuple[str, ...]] = {
+    "tactile_node": ("dynamixel_sdk", "serial"),
+    "servo_node": ("dynamixel_sdk", "serial"),
+    "simulated_charger": ("dynamixel_sdk", "serial"),
+}
+"""Loaded by the node's import."""
+
+WHEN_USED: dict[str, tuple[str, ...]] = {
+    "camera_node": ("depthai", "lz4", "mcap", "zstandard"),
+    "simulated_camera_node": ("cv2",),
+    "electrode_detector_node": ("cv2", "tf2_ros"),
+    "docking_recorder_node": ("lz4", "mcap", "zstandard"),
+    "recording_player_node": ("lz4", "mcap", "mcap_ros2", "zstandard"),
+    "mock_navigator_node": ("nav2_msgs", "tf2_ros"),
+    "docking_node": ("tf2_ros",),
+    "mission_node": ("nav2_msgs", "tf2_ros"),
+}
+"""Loaded by some of its functions, depending on parameters or use."""
+
+
+def of(name: str) -> set[str]:
+    """Return all libraries that a node may load."""
+    return {*AT_ONCE.get(name, ()), *WHEN_USED.get(name, ())}
