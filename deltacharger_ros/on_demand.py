@@ -7,19 +7,27 @@ the reader's history without any work for the node.
 Messages are taken by `Subscription.handle`, as in `rclpy.wait_for_message`. Taking a TactileFrame this way costs 44 µs
 of processor time, a callback of rclpy's EventsExecutor 102 µs, an untaken message nothing (docs/benchmarks.md). At
 rest a charger's nodes receive 600 messages a second and need few of them.
+
+A topic with untrusted publishers is received as bytes and read by its owner, one message after another. With an
+ordinary subscription the node's thread would read an endless message, end with the first one that is no message, and
+not know who sent it (`EventsExecutor` has no message info).
 """
 
 from __future__ import annotations
 
 import contextlib
+import struct
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
+
+_FRAME_ID = 12  # byte offset of its length in the CDR of a message with a header: 4 head, 8 stamp
 
 
 class GatedGroup(CallbackGroup):
@@ -52,7 +60,7 @@ class PolledTopic:
         node: subscriber.
         kind: message class.
         name: topic, relative to the node's namespace.
-        qos: quality of service; its depth bounds how many messages are kept between two calls.
+        qos: quality of service; its depth bounds how many messages are kept, and taken at once.
         raw: whether messages stay bytes.
         callback: gets messages that arrive while the topic is open; `take` then returns only earlier ones.
 
@@ -72,6 +80,7 @@ class PolledTopic:
     ) -> None:
         self.name = node.resolve_topic_name(name)
         self._node = node
+        self._depth = qos.depth
         self._gate = GatedGroup()
         self._subscription: Any = node.create_subscription(
             kind, name, callback, qos, callback_group=self._gate, raw=raw
@@ -93,8 +102,67 @@ class PolledTopic:
         """Yield the waiting messages, each with rclpy's message info (times in ns)."""
         subscription = self._subscription
         with contextlib.suppress(RuntimeError), subscription.handle:  # ROS was shut down
-            while taken := subscription.handle.take_message(subscription.msg_type, subscription.raw):
+            for _ in range(self._depth):  # a flood must not hold its reader
+                if not (taken := subscription.handle.take_message(subscription.msg_type, subscription.raw)):
+                    return
                 yield taken
+
+
+class Received(NamedTuple):
+    """A message of an untrusted publisher.
+
+    Attributes:
+        data: CDR bytes.
+        publisher: id of its publisher; empty if the middleware or rclpy does not provide it, as before ROS 2 Kilted.
+        kind: message class.
+    """
+
+    data: bytes
+    publisher: bytes
+    kind: type[Any]
+
+    def read(self) -> Any:
+        """Return the message; None if the bytes are invalid."""
+        try:
+            return deserialize_message(self.data, self.kind)
+        except Exception:  # each middleware raises its own
+            return None
+
+    def frame_id(self, longest: int) -> str | None:
+        """Return the header's frame_id without reading the rest; None if invalid or longer than `longest`."""
+        try:
+            (length,) = struct.unpack_from("<I" if self.data[1] & 1 else ">I", self.data, _FRAME_ID)
+            text = self.data[_FRAME_ID + 4 : _FRAME_ID + 4 + length]
+            if not 0 < length <= longest + 1 or len(text) < length:
+                return None
+            return text[:-1].decode()
+        except (IndexError, struct.error, UnicodeDecodeError):
+            return None
+
+
+class BoundedTopic:
+    """A topic with untrusted publishers; its owner reads the messages that it wants.
+
+    Args:
+        node: subscriber.
+        kind: message class.
+        name: topic, relative to the node's namespace.
+        qos: quality of service; its depth bounds how many messages are kept, and taken at once.
+    """
+
+    def __init__(self, node: Node, kind: type[Any], name: str, qos: QoSProfile) -> None:
+        self._kind = kind
+        self._topic = PolledTopic(node, kind, name, qos, raw=True)
+        self.name = self._topic.name
+
+    def take(self) -> list[Received]:
+        """Return the messages received since the last call, oldest first."""
+        return [Received(data, _publisher(info), self._kind) for data, info in self._topic.take()]
+
+
+def _publisher(info: Any) -> bytes:
+    gid = info.get("publisher_gid") if isinstance(info, dict) else None
+    return bytes(gid["data"]) if isinstance(gid, dict) and "data" in gid else b""
 
 
 class OnDemandSubscription:

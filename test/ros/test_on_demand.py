@@ -77,6 +77,16 @@ def test_a_polled_topic_keeps_as_many_as_its_depth(node: Node, publisher: Publis
     assert list(topic.take()) == []
 
 
+def test_a_flood_does_not_hold_its_reader(node: Node, publisher: Publisher[Int64]) -> None:
+    topic, taken = PolledTopic(node, Int64, "counts", QOS), 0
+    publish(publisher, 0)
+    for _ in topic.take():
+        taken += 1
+        assert taken <= DEPTH
+        publish(publisher, taken)
+    assert taken == DEPTH
+
+
 @pytest.mark.version
 def test_a_latest_message_is_the_newest_from_either_path(node: Node, publisher: Publisher[Int64]) -> None:
     latest = LatestMessage(node, Int64, "counts", QOS)
