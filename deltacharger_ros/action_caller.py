@@ -12,9 +12,8 @@ from action_msgs.msg import GoalStatus
 from rclpy.action.client import ActionClient
 from rclpy.node import Node
 
-from deltacharger_ros.echo import Echo
 from deltacharger_ros.qos import ACTION
-from deltacharger_ros.sent_goal import LOST, SentGoal
+from deltacharger_ros.sent_goal import LOST, Echo, SentGoal
 
 OnEnd = Callable[[int, int, Any, Any], None]
 """Called with a goal's number, its end, its result message (None = none) and its latest feedback."""

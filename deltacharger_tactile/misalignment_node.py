@@ -30,8 +30,7 @@ from deltacharger_ros.log import Log
 from deltacharger_ros.on_demand import OnDemandSubscription
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import SERVICE
-from deltacharger_ros.regularly import Regularly
-from deltacharger_ros.tuning import Tuning
+from deltacharger_ros.tuning import Regularly, Tuning
 from deltacharger_ros.unknown import unknown_misalignment
 from deltacharger_tactile.errors import FrameError
 from deltacharger_tactile.estimate import Estimate

@@ -37,9 +37,8 @@ from deltacharger_ros.log import Log
 from deltacharger_ros.messages import seconds
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import SERVICE
-from deltacharger_ros.regularly import Regularly
 from deltacharger_ros.tf_tree import TfTree, TransformError, installed
-from deltacharger_ros.tuning import Tuning
+from deltacharger_ros.tuning import Regularly, Tuning
 from deltacharger_ros.unknown import unknown
 from deltacharger_vision.detector.annotate import annotated
 from deltacharger_vision.detector.detector import ElectrodeDetector

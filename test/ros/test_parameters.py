@@ -36,8 +36,7 @@ from deltacharger_driver.servos.servo_node import ServoNode
 from deltacharger_kinematics.kinematics_node import KinematicsNode
 from deltacharger_ros.node_support import StartupError
 from deltacharger_ros.parameters import declare_all, reject_unknown
-from deltacharger_ros.regularly import Regularly
-from deltacharger_ros.tuning import Tuning
+from deltacharger_ros.tuning import Regularly, Tuning
 
 from ..nodes import options
 from ..waiting import DEADLINE, wait_until
