@@ -9,7 +9,7 @@ import functools
 import os
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future as Job
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any, TextIO
@@ -21,7 +21,8 @@ from rclpy.node import Node
 from rclpy.task import Future, Task
 
 from deltacharger_core.environment import refuse_ros
-from deltacharger_ros.order_age import serving
+from deltacharger_core.host_clock import HOST
+from deltacharger_ros.refusals import ANOTHER_CLOCK
 
 try:
     from rclpy.experimental.events_executor import EventsExecutor
@@ -31,6 +32,28 @@ except ModuleNotFoundError as missing:
 _TURN = 3600.0  # s; without a timeout, `spin` of the PyPI wheels uses a full core and blocks publishers
 _WORKERS = 4  # callbacks of one group at once
 _LAST = 5.0  # s for running callbacks to end when the node closes
+_served = threading.local()
+
+
+@contextlib.contextmanager
+def serving(header: Any) -> Iterator[None]:
+    """Remember the header of the request that this thread serves."""
+    _served.sent = getattr(header, "source_timestamp", 0)
+    try:
+        yield
+    finally:
+        _served.sent = 0
+
+
+def order_age() -> float:
+    """Return the age (s) of the request that this thread serves; 0 if it is unknown, or as of another clock.
+
+    It is by the middleware's stamp of its sending, which every service has, also those of std_srvs: the time of the
+    sender's computer, whatever /clock shows.
+    """
+    sent = getattr(_served, "sent", 0)
+    old = HOST.age(1e-9 * sent)
+    return old if sent and 0.0 < old < ANOTHER_CLOCK else 0.0
 
 
 class Spinner:

@@ -46,9 +46,9 @@ from deltacharger_driver.rate_meter import RateMeter
 from deltacharger_ros import node_support
 from deltacharger_ros.clock import steady_timer
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
+from deltacharger_ros.executor import order_age
 from deltacharger_ros.log import Log
 from deltacharger_ros.messages import seconds
-from deltacharger_ros.order_age import order_age
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import LATEST, SERVICE
 from deltacharger_ros.unknown import unknown

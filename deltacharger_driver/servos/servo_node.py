@@ -54,8 +54,8 @@ from deltacharger_driver.servos.trajectory_node_io import TrajectoryInbox
 from deltacharger_ros import node_support
 from deltacharger_ros.diagnostics import Diagnostics
 from deltacharger_ros.duplicates import publishers
+from deltacharger_ros.executor import order_age
 from deltacharger_ros.log import Log
-from deltacharger_ros.order_age import order_age
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import LATEST, SERVICE
 from deltacharger_ros.servos_file import declare_with_servos

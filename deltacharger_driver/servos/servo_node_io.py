@@ -22,8 +22,8 @@ from deltacharger_core.machine import JOINTS, ZERO_CURRENT
 from deltacharger_driver.board.protocol import PROBE_LIFETIME
 from deltacharger_driver.servos.motion_guard import ContactorState, MotionGuard
 from deltacharger_driver.servos.report import ServoReport
-from deltacharger_ros.bounded_topic import BoundedTopic
 from deltacharger_ros.clock import Stamps, stamp_age
+from deltacharger_ros.on_demand import BoundedTopic
 from deltacharger_ros.qos import SERVICE
 
 KEPT = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=64, reliability=ReliabilityPolicy.RELIABLE)

@@ -19,9 +19,9 @@ from deltacharger_driver.servos.motion_guard import ContactorState, MotionGuard,
 from deltacharger_driver.servos.report import ServoPhase
 from deltacharger_driver.servos.servo_node_io import KEPT
 from deltacharger_driver.servos.trajectory import JointLimits, ServoWaypoint, check, check_age
-from deltacharger_ros.bounded_topic import BoundedTopic, Received
 from deltacharger_ros.clock import stamp_age
 from deltacharger_ros.messages import seconds
+from deltacharger_ros.on_demand import BoundedTopic, Received
 
 LONGEST_SECRET = 64  # characters of header.frame_id
 _LARGEST = 128 * 1024  # bytes of a trajectory, and of all that one cycle reads; 1000 points have 112 000, read in 36 ms

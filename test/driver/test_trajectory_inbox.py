@@ -24,7 +24,7 @@ from deltacharger_driver.servos.mx64 import TICK
 from deltacharger_driver.servos.servo_node_io import ContactorClient
 from deltacharger_driver.servos.trajectory import JointLimits
 from deltacharger_driver.servos.trajectory_node_io import TrajectoryInbox
-from deltacharger_ros.bounded_topic import Received
+from deltacharger_ros.on_demand import Received
 
 from .servo_rig import START, Rig
 

@@ -21,8 +21,7 @@ from rclpy.node import Node
 from std_msgs.msg import Int64
 from std_srvs.srv import Trigger
 
-from deltacharger_ros.executor import Spinner
-from deltacharger_ros.order_age import order_age, serving
+from deltacharger_ros.executor import Spinner, order_age, serving
 
 from ..chargers import DEADLINE, wait_until
 from ..nodes import answer, call, options
