@@ -26,11 +26,11 @@ from rclpy.context import Context
 from rclpy.signals import SignalHandlerOptions
 
 from deltacharger_core.frames import CHARGER_BASE
+from deltacharger_ros.action_caller import FORGOTTEN, LOST, ONE_USER, Echo, SentGoal
 from deltacharger_ros.guest import Guest
 from deltacharger_ros.messages import duration, fill_pose, to_outcome, to_progress
 from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, Progress
 from deltacharger_ros.qos import ACTION, STATE
-from deltacharger_ros.sent_goal import FORGOTTEN, LOST, ONE_USER, Echo, SentGoal
 
 _STATE = "docking_state"
 _LATCHED = 1.0  # s to receive the latched docking_state

@@ -18,10 +18,9 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from deltacharger_mission.dialogue import DockingReport, End, MissionObservation, Task, TaskReply, TaskRequest
 from deltacharger_mission.ros.messages import fill_pose, read_detection, read_dock, read_drive, read_state, unknown_dock
-from deltacharger_ros.action_caller import ActionCaller, OnEnd, result_of
+from deltacharger_ros.action_caller import FORGOTTEN, LOST, REFUSED, ActionCaller, OnEnd, result_of
 from deltacharger_ros.messages import duration
 from deltacharger_ros.qos import SERVICE
-from deltacharger_ros.sent_goal import FORGOTTEN, LOST, REFUSED
 
 _LOST_TIMEOUT = 5.0  # s that an action may have no server before its goal is lost
 _ENDS = {

@@ -23,15 +23,14 @@ from rclpy.time import Time
 from deltacharger_docking.codes import Code, DockingError
 from deltacharger_docking.observation import DockingOutcome
 from deltacharger_mission.ros.messages import unknown_dock
-from deltacharger_ros import action_server, sent_goal
+from deltacharger_ros import action_caller, action_server
 from deltacharger_ros import client as client_module
-from deltacharger_ros.action_caller import ActionCaller
+from deltacharger_ros.action_caller import FORGOTTEN, LOST, ActionCaller, SentGoal
 from deltacharger_ros.action_server import Work, WorkServer
 from deltacharger_ros.client import ChargerClient, ClientError
 from deltacharger_ros.executor import Spinner
 from deltacharger_ros.messages import CODES, to_outcome, to_result
 from deltacharger_ros.outcomes import DockRequest, Pose
-from deltacharger_ros.sent_goal import FORGOTTEN, LOST, SentGoal
 
 from ..chargers import DEADLINE, wait_until
 from ..marks import rest
@@ -200,7 +199,7 @@ def test_a_lost_response_is_requested_again(answering: Answering, client: Charge
 
 def test_a_result_that_was_lost_after_hours_is_requested_within_a_minute(monkeypatch: pytest.MonkeyPatch) -> None:
     now = 0.0
-    monkeypatch.setattr(sent_goal, "time", SimpleNamespace(monotonic=lambda: now))
+    monkeypatch.setattr(action_caller, "time", SimpleNamespace(monotonic=lambda: now))
     asked: list[float] = []
     node: Any = SimpleNamespace(executor=SimpleNamespace(call_soon=lambda *call: asked.append(now) or Future()))
     sent = SentGoal(node, Mock(), Dock.Goal(), lambda message: None)
