@@ -68,8 +68,8 @@ class Perception:
         Args:
             model: npz file of a pose model; empty = the packaged one.
             calibration: YAML file of `deltacharger calibrate tactile`; empty = none.
-            classifiers: the name of a packaged model, or npz files of `deltacharger tactile train`, at most one per
-                target; empty names are ignored.
+            classifiers: the name of a packaged model, or trained npz files, at most one per target; empty
+                names are ignored.
 
         Raises:
             PerceptionError: a file is missing or of the wrong kind; the message states what to do.

@@ -44,7 +44,7 @@ from launch_ros.actions import Node
 from launch_ros.substitutions import ExecutableInPackage
 from launch_ros.utilities import prefix_namespace
 
-from deltacharger_bringup.cli.types import namespace
+from deltacharger_bringup.cli.arguments import namespace
 from deltacharger_bringup.launch_arguments import (
     CHARGER,
     LEVELS,

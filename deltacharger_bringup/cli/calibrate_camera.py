@@ -12,12 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from deltacharger_bringup.calibrate.camera_views import VIEWS, SeenViews, ViewsError, gather, read_pixels, read_rows
-from deltacharger_bringup.cli.calibration import conclude, geometry_of
-from deltacharger_bringup.cli.files import file_to_write
-from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, log_line, print_result, wrong_input
-from deltacharger_bringup.cli.parser import namespace_option
-from deltacharger_bringup.cli.types import between, integer
+from deltacharger_bringup.cli.arguments import between, file_to_write, integer, namespace_option
+from deltacharger_bringup.cli.calibrate_kinematics import geometry_of
+from deltacharger_bringup.cli.camera_views import VIEWS, SeenViews, ViewsError, gather, read_pixels, read_rows
+from deltacharger_bringup.cli.charger import prepare, ros_context
+from deltacharger_bringup.cli.output import FAILED, WRONG_INPUT, CommandError, Interrupts, Result, conclude, wrong_input
 from deltacharger_core.bounded_file import sha256
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.parameters import ParameterError
@@ -100,7 +99,7 @@ def add_camera(parser: argparse.ArgumentParser) -> None:
     namespace_option(parser)
 
 
-def camera(options: argparse.Namespace) -> int:
+def camera(options: argparse.Namespace) -> Result:
     """Take views on request, fit the mount, judge it, and write it unless it is doubtful."""
     with wrong_input(VisionError, ViewsError, ParameterError):
         require_opencv()
@@ -118,9 +117,11 @@ def camera(options: argparse.Namespace) -> int:
             raise CommandError("give --views FOLDER, or --print FILE.svg for a board", WRONG_INPUT)
         offset, geometry = _offset(options), geometry_of(options.geometry)
         if options.take is not None:
-            from deltacharger_bringup.cli.take_views import take
+            prepare(options, look_around=True)
+            with Interrupts() as interrupts, ros_context() as context:
+                from deltacharger_bringup.cli.take_views import take
 
-            take(options, board, offset, geometry)
+                take(options, board, offset, geometry, context, interrupts)
         judged = _judge(options, board, offset, geometry)
         doubts, remarks = judged.doubts, [*judged.notes, *judged.doubts]
 
@@ -130,18 +131,14 @@ def camera(options: argparse.Namespace) -> int:
         return conclude(options, bool(doubts), save, _as_text(judged), _as_mapping(judged), remarks)
 
 
-def _print(options: argparse.Namespace, board: Board) -> int:
+def _print(options: argparse.Namespace, board: Board) -> Result:
     """Draw the board."""
     if Path(options.print).suffix.lower() != ".svg":
         raise CommandError(f"--print {options.print}: give a name that ends in .svg", WRONG_INPUT)
     Path(options.print).write_text(board_svg(board), encoding="utf-8")
     width, height = (length / MILLIMETRE for length in board.pattern)
-    log_line(
-        f"print it at 100 % (no 'fit to page') on matte paper; the black pattern must measure {width:g} × {height:g} mm"
-    )
-    value = {"success": True, "written": options.print, "pattern": list(board.pattern)}
-    print_result(options, f"wrote {options.print}", value)
-    return DONE
+    how = f"print it at 100 % (no 'fit to page') on matte paper; the pattern must measure {width:g} × {height:g} mm"
+    return Result(f"wrote {options.print}", {"written": options.print, "pattern": list(board.pattern)}, remarks=[how])
 
 
 def _offset(options: argparse.Namespace) -> Vector:

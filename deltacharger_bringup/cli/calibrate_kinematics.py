@@ -1,30 +1,76 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger calibrate kinematics`: plan poses, or fit the geometry to measured poses and judge the fit."""
+"""`deltacharger calibrate kinematics`: plan poses, measure them, or fit the geometry to them."""
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import datetime
 import math
+import os
+import re
+import select
+import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deltacharger_bringup.cli.calibration import conclude, encoder_of, geometry_of, refusing
-from deltacharger_bringup.cli.files import file_to_write
-from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, CommandError, print_result
-from deltacharger_bringup.cli.parser import namespace_option
-from deltacharger_bringup.cli.types import SEED, between, integer
+from deltacharger_bringup.cli.arguments import SEED, between, file_to_write, integer, namespace_option
+from deltacharger_bringup.cli.charger import DISCOVERY, prepare, ros_context
+from deltacharger_bringup.cli.output import (
+    DONE,
+    FAILED,
+    WRONG_INPUT,
+    CommandError,
+    Interrupts,
+    Result,
+    conclude,
+    log_line,
+    wrong_input,
+)
 from deltacharger_core.bounded_file import sha256
 from deltacharger_kinematics.calibration.calibrate import GeometryCalibration, calibrate, describe
 from deltacharger_kinematics.calibration.checks import named
-from deltacharger_kinematics.calibration.data import Encoder, read_measurements
-from deltacharger_kinematics.calibration.plan import plan, write_plan
+from deltacharger_kinematics.calibration.data import TICK, Encoder, read_measurements
+from deltacharger_kinematics.calibration.plan import PlannedPose, plan, read_plan, write_plan
 from deltacharger_kinematics.calibration.problem import NAMES, Uncertainty, numbers, rms
-from deltacharger_kinematics.calibration.table import MILLIMETRE
-from deltacharger_kinematics.geometry import LIMB_COUNT
-from deltacharger_kinematics.geometry_file import geometry_to_mapping, save_geometry
+from deltacharger_kinematics.calibration.recording import PoseRecording
+from deltacharger_kinematics.calibration.table import MILLIMETRE, CalibrationError
+from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry, Vector
+from deltacharger_kinematics.geometry_file import geometry_to_mapping, load_geometry, save_geometry
+
+if TYPE_CHECKING:
+    from deltacharger_records.datasets.arm_client import ArmClient
+
+
+def refusing(path: str) -> contextlib.AbstractContextManager[None]:
+    """Report an invalid file of measurements with exit code 2 and its lines."""
+    return wrong_input(CalibrationError, before=f"{path}: ", file=path)
+
+
+def encoder_of(options: argparse.Namespace) -> Encoder | None:
+    """Return the encoder that the options define; None if they define none.
+
+    Raises:
+        CommandError: a direction is not 1 or -1.
+    """
+    given = {"zero_ticks": options.zero_ticks, "direction": options.direction}
+    values = {name: tuple(value) for name, value in given.items() if value is not None}
+    with wrong_input(CalibrationError):
+        return Encoder(**values) if values else None
+
+
+def geometry_of(path: str | None) -> DeltaGeometry:
+    """Return the arm's geometry from a file, or the built-in one.
+
+    Raises:
+        CommandError: the file is refused; exit code 2.
+    """
+    with wrong_input(ValueError, file=path):
+        return DeltaGeometry() if path is None else load_geometry(path)
+
 
 _WORST = 5  # rows to name
 _UNEXPLAINED = 2.0  # scatter; below it the stated uncertainties are plausible
@@ -63,12 +109,12 @@ def add_kinematics(parser: argparse.ArgumentParser) -> None:
     namespace_option(parser)
 
 
-def kinematics(options: argparse.Namespace) -> int:
+def kinematics(options: argparse.Namespace) -> Result:
     """Fit, plan or measure, according to the options."""
     if options.measure is not None:
         if options.plan is None or options.data is not None:
             raise CommandError("--measure FILE needs --plan FILE to read, and no DATA.csv", WRONG_INPUT)
-        from deltacharger_bringup.cli.measure import measure
+        from deltacharger_bringup.cli.calibrate_kinematics import measure
 
         return measure(options, geometry_of(options.nominal))
     if options.plan is not None:
@@ -82,7 +128,7 @@ def kinematics(options: argparse.Namespace) -> int:
     return _fit(options)
 
 
-def _plan(options: argparse.Namespace) -> int:
+def _plan(options: argparse.Namespace) -> Result:
     geometry = geometry_of(options.nominal)
     file_to_write("--plan", options.plan, overwrite=options.force)
     poses = plan(geometry, options.seed)
@@ -90,11 +136,10 @@ def _plan(options: argparse.Namespace) -> int:
         write_plan(options.plan, poses, geometry, encoder_of(options) or Encoder())
     kept = sum(pose.held_out for pose in poses)
     text = f"wrote {options.plan}: {len(poses)} poses, {kept} of them held out to judge the fit"
-    print_result(options, text, {"success": True, "written": options.plan, "poses": len(poses), "held_out": kept})
-    return DONE
+    return Result(text, {"written": options.plan, "poses": len(poses), "held_out": kept})
 
 
-def _fit(options: argparse.Namespace) -> int:
+def _fit(options: argparse.Namespace) -> Result:
     if options.out is not None:
         file_to_write("--out", options.out, overwrite=options.force)
     nominal = geometry_of(options.nominal)
@@ -240,3 +285,150 @@ def _table(found: GeometryCalibration) -> list[str]:
     if far.any():
         lines.append(f"! more than {_SUSPICIOUS:g} tolerances from nominal")
     return [line.rstrip() for line in lines]
+
+
+_STOPPED = 0.010  # m from the pose; a larger distance means an obstacle
+_DOUBTFUL = 0.020  # m between measured and predicted position; more is a typing error rather than a badly built arm
+_POLL = 0.1  # s between checks of the arm during input
+
+
+class Answers:
+    """Lines from standard input, with checks of the arm while waiting.
+
+    `input()` would keep waiting after a signal, and would not check the arm.
+    """
+
+    def __init__(self) -> None:
+        self._left = b""
+        self._ended = sys.stdin is None
+
+    def next(self, check: Callable[[], None]) -> str | None:
+        """Return the next line, or None at the end of the input; `check` is called while waiting."""
+        while b"\n" not in self._left and not self._ended:
+            check()
+            if select.select([sys.stdin], [], [], _POLL)[0]:
+                chunk = b""
+                with contextlib.suppress(OSError):  # a closed terminal
+                    chunk = os.read(sys.stdin.fileno(), 4096)
+                self._ended = not chunk
+                self._left += chunk
+        if not self._left:
+            return None
+        line, _, self._left = self._left.partition(b"\n")
+        return line.decode("utf-8", "replace").strip()
+
+
+def measure(options: argparse.Namespace, geometry: DeltaGeometry) -> Result:
+    """Measure the poses of a plan with the running charger."""
+    with refusing(options.plan):
+        poses = read_plan(options.plan)
+    prepare(options, look_around=True)
+    counts = {"measured": 0, "skipped": 0}
+    with Interrupts() as interrupts, ros_context() as context:
+        from deltacharger_records.datasets.arm_client import ArmClient
+        from deltacharger_records.datasets.arm_guest import ArmError
+
+        try:
+            with ArmClient(context, geometry, options.namespace, interrupts.event) as arm:
+                arm.wait_until_ready(DISCOVERY)
+                with refusing(options.measure):
+                    recording = PoseRecording(options.measure, _encoder(encoder_of(options), arm.encoder()))
+                    left = [pose for pose in poses if pose.number not in recording.done]
+                    _announce(options.measure, poses, left)
+                    complete = not left or _visit(arm, left, recording, counts)
+        except ArmError as error:
+            kept = f"; {options.measure} contains the measured poses" if counts["measured"] else ""
+            raise CommandError(f"{error}{kept}", interrupts.failure, **counts) from error
+    remaining = len(poses) - len(recording.done)
+    remark = f"{options.measure} contains {len(recording.done)} of {len(poses)} poses; the torque is off"
+    details = {"written": options.measure, **counts, "remaining": remaining}
+    return Result("", details, DONE if complete else FAILED, [remark])
+
+
+def _encoder(stated: Encoder | None, reported: Encoder | None) -> Encoder:
+    """Return the encoder: as servo_node reports it. The options must not differ from it."""
+    if reported is None:
+        used = stated or Encoder()
+        log_line(f"servo_node does not report zero_ticks and direction; using {used.zero_ticks} and {used.direction}")
+        return used
+    if stated is not None and stated != reported:
+        raise CommandError(
+            f"servo_node has zero_ticks {reported.zero_ticks} and direction {reported.direction}: leave out "
+            "options that differ",
+            WRONG_INPUT,
+        )
+    return reported
+
+
+def _announce(path: str, poses: Sequence[PlannedPose], left: Sequence[PlannedPose]) -> None:
+    if len(left) < len(poses):
+        log_line(f"{path} contains {len(poses) - len(left)} of {len(poses)} poses already; continuing with the others")
+    log_line("keep clear: the arm moves now, and after each answer")
+
+
+def _visit(arm: ArmClient, poses: Sequence[PlannedPose], recording: PoseRecording, counts: dict[str, int]) -> bool:
+    """Move to the poses one by one and record the answers; return False if the input ended early."""
+    answers = Answers()
+    arm.start()
+    for number, pose in enumerate(poses, start=1):
+        log_line(f"pose {pose.number}, {number} of {len(poses)}: going to {_place(pose.position)} mm")
+        arm.move(pose.position)
+        if math.dist(arm.position(), pose.position) > _STOPPED:
+            log_line(f"  the arm stopped at {_place(arm.position())} mm: is there an obstacle?")
+        log_line("  measured x y z in mm, s = skip, q = quit:")
+        word = _record(arm, pose, recording, answers)
+        if word in ("end", "quit"):
+            log_line("the input has ended" if word == "end" else "quitting; repeat the command to resume")
+            arm.go_home()
+            return word == "quit"
+        counts[word] += 1
+    arm.go_home()
+    return True
+
+
+def _record(arm: ArmClient, pose: PlannedPose, recording: PoseRecording, answers: Answers) -> str:
+    """Ask until there is an answer. Return "measured" (recorded), "skipped", "quit" or "end" of the input."""
+    from deltacharger_records.datasets.arm_client import STILL
+
+    asked, doubted = arm.angles(), ""
+    while True:
+        text = answers.next(arm.check)
+        if text is None or text in ("q", "s"):
+            return "end" if text is None else {"q": "quit", "s": "skipped"}[text]
+        position = position_of(text)
+        if position is None:
+            log_line(f"  '{text}' is not three numbers; x y z in mm, s = skip, q = quit:")
+            continue
+        arm.rest()
+        away = math.dist(position, arm.position())
+        if away > _DOUBTFUL and text != doubted:
+            doubted = text
+            log_line(f"  that is {away / MILLIMETRE:.0f} mm from the expected position; repeat it if correct:")
+            continue
+        angles = arm.angles()
+        moved = float(np.abs(np.subtract(angles, asked)).max())
+        if moved > STILL:
+            asked = angles
+            log_line(f"  the arm moved by {moved / TICK:.0f} ticks since; measure again, x y z in mm:")
+            continue
+        first, second, third = recording.encoder.ticks(np.array(angles))
+        recording.append(pose, (float(first), float(second), float(third)), position)
+        return "measured"
+
+
+def position_of(text: str) -> Vector | None:
+    """Return the position (m) of a text with three numbers in mm; None for any other text.
+
+    Separators are spaces, commas or semicolons. If spaces separate, a comma may be the decimal point.
+    """
+    words = text.replace(";", " ").split()
+    words = [word.replace(",", ".") for word in words] if len(words) == 3 else re.split(r"[\s,;]+", text)
+    try:
+        x, y, z = (float(word) * MILLIMETRE for word in words)
+    except ValueError:
+        return None
+    return (x, y, z) if all(map(math.isfinite, (x, y, z))) else None
+
+
+def _place(position: Vector) -> str:
+    return "(" + ", ".join(f"{value / MILLIMETRE:.1f}" for value in position) + ")"

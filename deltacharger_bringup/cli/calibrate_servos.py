@@ -11,12 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from deltacharger_bringup.cli.calibration import conclude, geometry_of
+from deltacharger_bringup.cli.arguments import SEED, between, file_to_write, namespace_option
+from deltacharger_bringup.cli.calibrate_kinematics import geometry_of
 from deltacharger_bringup.cli.charger import DISCOVERY, prepare, ros_context
-from deltacharger_bringup.cli.files import file_to_write
-from deltacharger_bringup.cli.output import FAILED, INTERRUPTED, CommandError, Interrupts, log_line
-from deltacharger_bringup.cli.parser import namespace_option
-from deltacharger_bringup.cli.types import SEED, between
+from deltacharger_bringup.cli.output import FAILED, CommandError, Interrupts, Result, conclude, log_line
 from deltacharger_core.parameters import ParameterError
 from deltacharger_core.servos_file import MeasuredServos, save_servos, servos_to_mapping
 from deltacharger_kinematics.calibration.servo_arm import ServoTask, ServoTrouble
@@ -48,7 +46,7 @@ def add_servos(parser: argparse.ArgumentParser) -> None:
     namespace_option(parser)
 
 
-def servos(options: argparse.Namespace) -> int:
+def servos(options: argparse.Namespace) -> Result:
     """Measure the servos of the running charger, print and write the values."""
     if options.out is not None:
         file_to_write("--out", options.out, overwrite=options.force)
@@ -93,9 +91,8 @@ def _measured(options: argparse.Namespace) -> tuple[ServoTask, Gains, MeasuredAr
                         raise
                     log_line(f"the arm did not go home: {error}")
         except (ArmError, ServoTrouble) as error:
-            code = INTERRUPTED if interrupts.event.is_set() else FAILED
             ended = ", and the torque is off" if arm.is_released else ""
-            raise CommandError(f"{error}; nothing was written{ended}", code) from error
+            raise CommandError(f"{error}; nothing was written{ended}", interrupts.failure) from error
     return task, gains, measured
 
 

@@ -14,10 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_bringup.cli.calibration import conclude
-from deltacharger_bringup.cli.files import file_to_read, file_to_write
-from deltacharger_bringup.cli.output import WRONG_INPUT, CommandError, wrong_input
-from deltacharger_bringup.cli.types import integer
+from deltacharger_bringup.cli.arguments import file_to_read, file_to_write, integer
+from deltacharger_bringup.cli.output import WRONG_INPUT, CommandError, Result, conclude, wrong_input
 from deltacharger_core.bounded_file import sha256
 from deltacharger_tactile import MODEL_PATH
 from deltacharger_tactile.calibration import faults as sensor_faults
@@ -53,7 +51,7 @@ class _Found:
     doubts: list[str]
 
 
-def tactile(options: argparse.Namespace) -> int:
+def tactile(options: argparse.Namespace) -> Result:
     """Calibrate, judge, and write the calibration unless it makes estimates worse."""
     file_to_write("--out", options.out, overwrite=options.force)
     with wrong_input(TactileError, file=options.data):

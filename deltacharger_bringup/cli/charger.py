@@ -10,8 +10,8 @@ import os
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
+from deltacharger_bringup.cli.arguments import DEFAULT_SCENE
 from deltacharger_bringup.cli.output import WRONG_INPUT, CommandError, Interrupts, log_line
-from deltacharger_bringup.cli.parser import DEFAULT_SCENE
 from deltacharger_core import environment, runtime
 
 if TYPE_CHECKING:

@@ -1,15 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger dock`: send one docking goal, show progress and result, draw a picture."""
+"""`deltacharger dock` and `undock`: send one goal, show progress and result, draw a picture."""
 
 from __future__ import annotations
 
 import argparse
 import contextlib
 import math
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from deltacharger_bringup.cli.arguments import (
+    DEGREES,
+    MILLIMETRES,
+    NOT_NEGATIVE,
+    deadline,
+    namespace_option,
+    picture_to_write,
+    record_option,
+    scene_option,
+)
 from deltacharger_bringup.cli.charger import (
     only_charger,
     prepare,
@@ -18,19 +29,78 @@ from deltacharger_bringup.cli.charger import (
     start,
     wait_for_actions,
 )
-from deltacharger_bringup.cli.files import picture_to_write
-from deltacharger_bringup.cli.output import DONE, FAILED, INTERRUPTED, WRONG_INPUT, CommandError, Interrupts, log_line
-from deltacharger_bringup.cli.parser import namespace_option, record_option, scene_option
-from deltacharger_bringup.cli.phases import PhasePrinter, report
-from deltacharger_bringup.cli.types import DEGREES, MILLIMETRES, NOT_NEGATIVE, deadline
+from deltacharger_bringup.cli.output import (
+    DONE,
+    FAILED,
+    INTERRUPTED,
+    WRONG_INPUT,
+    CommandError,
+    Interrupts,
+    Result,
+    log_line,
+)
 from deltacharger_core import environment
-from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, place
+from deltacharger_core.quantity import figure
+from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, Progress, place
 
 if TYPE_CHECKING:
     from deltacharger_records.replay.recorder import Recorder
     from deltacharger_ros.client import ChargerClient
     from deltacharger_scenes.composition import Composition
     from deltacharger_scenes.scene import Scene
+
+
+def _result(outcome: Outcome, more: dict[str, Any], code: int, remarks: Sequence[str] = ()) -> Result:
+    """Return the result of an action."""
+    lines = [f"{outcome.action}: {outcome.ending()}"]
+    suggested = None if outcome.success else outcome.details.get("suggested_base_pose")
+    if suggested:
+        place = ", ".join(f"{1e3 * value:.1f}" for value in suggested["position"])
+        turn = f", turned by {math.degrees(suggested['yaw']):+.1f}° about its y" if suggested["yaw"] else ""
+        lines.append(f"  possible with charger_base at ({place}) mm of {suggested['frame_id']}{turn}")
+    return Result("\n".join(lines), {**outcome.as_dict(), **more}, code, remarks)
+
+
+class PhasePrinter:
+    """Print one line when a phase begins, and store the phases.
+
+    Args:
+        force: returns the present contact force (N, NaN = unknown).
+
+    Attributes:
+        phases: one mapping per phase: phase, start (s), z (m), contact_current (A), force (N), alignments.
+    """
+
+    def __init__(self, force: Any = None) -> None:
+        self._force = force
+        self.phases: list[dict[str, Any]] = []
+
+    def __call__(self, progress: Progress) -> None:
+        """Handle one feedback message."""
+        if self.phases and self.phases[-1]["phase"] == progress.phase:
+            return
+        force = float("nan") if self._force is None else self._force()
+        self.phases.append(
+            {
+                "phase": progress.phase,
+                "start": progress.time,
+                "z": progress.z,
+                "contact_current": progress.contact_current,
+                "force": force,
+                "alignments": progress.alignments,
+            }
+        )
+        columns = [f"{progress.time:7.2f} s", f"{progress.phase:<9}", f"z {figure(1e3 * progress.z, 'mm', 1, 7)}"]
+        if progress.charge_current == progress.charge_current:
+            columns.append(f"charge {figure(progress.charge_current, 'A', 2, 7)}")
+        else:
+            columns.append(f"I_c {figure(progress.contact_current, 'A', 3, 7)}")
+        if self._force is not None:
+            columns.append(f"force {figure(force, 'N', 1, 7)}")
+        if progress.waiting_for:
+            columns.append(f"waits for {progress.waiting_for}")
+        log_line("  ".join(columns))
+
 
 _DEFAULT_PICTURE = "dock.png"
 
@@ -63,7 +133,7 @@ def add_dock(parser: argparse.ArgumentParser) -> None:
     record_option(parser)
 
 
-def dock(options: argparse.Namespace) -> int:
+def dock(options: argparse.Namespace) -> Result:
     """Dock with the running charger, or start the charger of the scene in this process."""
     if not options.no_picture and options.picture != _DEFAULT_PICTURE:  # without a picture no writable folder is needed
         picture_to_write(options.picture)
@@ -94,14 +164,14 @@ def dock(options: argparse.Namespace) -> int:
             own = stack.enter_context(start(recorder_alone(scene, options.record), context, options.namespace))
         keepers = [each.node for each in own.nodes if each.name == RECORDER] if own is not None else []
         recorder = stack.enter_context(Recorder(context, options.namespace))
-        code = _Run(options, scene, request, client, recorder, composition, interrupts).carry_out()
+        result = _Run(options, scene, request, client, recorder, composition, interrupts).carry_out()
         if own is not None:
             own.close()  # completes the record
         for keeper in keepers:
             if keeper.problem:
-                log_line(f"{RECORDER}: {keeper.problem}")
-                code = code or FAILED
-        return code
+                remarks = [*result.remarks, f"{RECORDER}: {keeper.problem}"]
+                result = replace(result, code=result.code or FAILED, remarks=remarks)
+        return result
 
 
 def _log_warnings_only() -> None:
@@ -163,7 +233,7 @@ class _Run:
     composition: Composition | None
     interrupts: Interrupts
 
-    def carry_out(self) -> int:
+    def carry_out(self) -> Result:
         """Dock, undock if this process started the charger, draw and report."""
         log_line(self._goal_line())
         whose = "the running charger" if self.composition is None else f"scene '{self.scene.name}'"
@@ -186,16 +256,9 @@ class _Run:
             self.recorder.close()
             self.composition.close()
         more["picture"] = self._draw()
-        report(outcome, self.options.json, more)
-        if advice:
-            log_line(advice)
-        if not self.options.json and outcome.success:
-            log_line(outcome.figures())
-        if unsafe:
-            log_line(unsafe)
-        if self.interrupts.event.is_set():
-            return INTERRUPTED
-        return DONE if outcome.success and not unsafe else FAILED
+        code = DONE if outcome.success and not unsafe else FAILED
+        remarks = [advice, outcome.figures() if outcome.success else "", unsafe]
+        return _result(outcome, more, INTERRUPTED if self.interrupts.number else code, [*filter(None, remarks)])
 
     def _goal_line(self) -> str:
         pose = self.request.electrodes
@@ -215,7 +278,7 @@ class _Run:
                 self.request, on_progress, self.interrupts.event, self.options.deadline_s, self.interrupts.impatient
             )
         except ClientError as error:
-            raise CommandError(str(error), INTERRUPTED if self.interrupts.event.is_set() else FAILED) from error
+            raise CommandError(str(error), self.interrupts.failure) from error
 
     def _advice(self, outcome: Outcome) -> str:
         """Return what to do if the camera was requested and there is none; else ''."""
@@ -263,3 +326,33 @@ class _Run:
         if record.get("energised_shorts") or record.get("energised_unsafe"):
             return "short or lost clearance while energised in the simulated world: this docking failed"
         return ""
+
+
+def add_undock(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `undock`."""
+    scene_option(parser)
+    namespace_option(parser)
+    parser.add_argument("--deadline-s", type=deadline, default=math.inf, metavar="S", help="cancel after this time")
+    parser.add_argument("--request-id", default="", metavar="ID", help="is returned in docking_state")
+
+
+def undock(options: argparse.Namespace) -> Result:
+    """Undock the running charger."""
+    require_docking(prepare(options, look_around=True))
+    with Interrupts() as interrupts, ros_context() as context:
+        from deltacharger_ros.client import ChargerClient, ClientError
+
+        with ChargerClient(options.namespace, context) as client:
+            if not client.wait_until_it_answers(options.discovery, interrupts.event):
+                if interrupts.event.is_set():
+                    raise CommandError("interrupted", INTERRUPTED)
+                raise CommandError(
+                    f"no charger answers in ROS domain {options.searched}: start one with `deltacharger up`"
+                )
+            printer = PhasePrinter()
+            try:
+                outcome = client.undock(options.request_id, printer, interrupts.event, options.deadline_s)
+            except ClientError as error:
+                raise CommandError(str(error), interrupts.failure) from error
+        code = INTERRUPTED if interrupts.number else DONE if outcome.success else FAILED
+        return _result(outcome, {"phases": printer.phases}, code)

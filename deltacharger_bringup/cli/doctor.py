@@ -10,18 +10,15 @@ import argparse
 import contextlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, log_line, print_text, write_json
-from deltacharger_bringup.cli.parser import DEFAULT_SCENE, scene_option
-from deltacharger_bringup.cli.types import integer
+from deltacharger_bringup.cli.arguments import DEFAULT_SCENE, integer, scene_option
+from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, Result, log_line
 from deltacharger_bringup.doctor.board import examine_board
-from deltacharger_bringup.doctor.camera import examine_camera
 from deltacharger_bringup.doctor.environment import RosProbe, examine_settings, examine_versions
 from deltacharger_bringup.doctor.findings import Finding, checked, hint, install, ok, wrong
-from deltacharger_bringup.doctor.ports import candidates, examine_port, same_device
-from deltacharger_bringup.doctor.servos import examine_servos
-from deltacharger_bringup.doctor.set_baud import set_baud
+from deltacharger_bringup.doctor.ports import candidates, examine_camera, examine_port, same_device
+from deltacharger_bringup.doctor.servos import examine_servos, set_baud
 from deltacharger_core import environment
 from deltacharger_core.machine import BAUD_RATE, BEHIND_BOARD, SERVO_IDS
 
@@ -68,7 +65,7 @@ class _Hardware:
         return self.servo_port == BEHIND_BOARD
 
 
-def doctor(options: argparse.Namespace) -> int:
+def doctor(options: argparse.Namespace) -> Result:
     """Examine everything, or write the servos' speed with --set-baud; print the findings."""
     if options.set_baud is not None:
         return _set_baud(options)
@@ -92,10 +89,10 @@ def doctor(options: argparse.Namespace) -> int:
         found += checked("camera", lambda: examine_camera(probe.images()))
     finally:
         probe.close()
-    return _report(options, found, hardware)
+    return _report(found, hardware)
 
 
-def _set_baud(options: argparse.Namespace) -> int:
+def _set_baud(options: argparse.Namespace) -> Result:
     if not options.servo_port:
         raise CommandError("--set-baud needs --servo-port: give the port of the servos to write", WRONG_INPUT)
     hardware = _Hardware(servo_port=options.servo_port, board_port=options.board_port or "")
@@ -103,7 +100,7 @@ def _set_baud(options: argparse.Namespace) -> int:
         text = "--set-baud uses --servo-port alone; leave out --scene and --board-port, or give both ports as "
         raise CommandError(f"{text}--servo-port {BEHIND_BOARD} --board-port PORT", WRONG_INPUT)
     found = _examine_servos(hardware, lambda port: set_baud(port, options.set_baud, options.ids))
-    return _report(options, found, hardware)
+    return _report(found, hardware)
 
 
 def _hardware(options: argparse.Namespace) -> _Hardware:
@@ -215,23 +212,20 @@ def _examine(device: str, path: str, text: str, check: Callable[[], Iterable[Fin
     return found
 
 
-def _report(options: argparse.Namespace, found: list[Finding], hardware: _Hardware) -> int:
+def _report(found: list[Finding], hardware: _Hardware) -> Result:
     counts = {level: sum(finding.level == level for finding in found) for level in ("ok", "hint", "wrong")}
-    if options.json:
-        value: dict[str, Any] = {
-            "success": counts["wrong"] == 0,
-            "scene": hardware.scene or None,
-            "servo_port": hardware.servo_port or None,
-            "board_port": hardware.board_port or None,
-            "counts": counts,
-            "findings": [asdict(finding) for finding in found],
-        }
-        write_json(value)
-    else:
-        width = max((len(finding.part) for finding in found), default=0)
-        for finding in found:
-            print_text(f"{finding.level:<5}  {finding.part:<{width}}  {finding.message}")
-            if finding.remedy:
-                print_text(f"{'':<7}{'':<{width}}  -> {finding.remedy}")
-        print_text(f"\n{counts['wrong']} wrong, {counts['hint']} hints, {counts['ok']} ok")
-    return FAILED if counts["wrong"] else DONE
+    width = max((len(finding.part) for finding in found), default=0)
+    lines = []
+    for finding in found:
+        lines.append(f"{finding.level:<5}  {finding.part:<{width}}  {finding.message}")
+        if finding.remedy:
+            lines.append(f"{'':<7}{'':<{width}}  -> {finding.remedy}")
+    lines.append(f"\n{counts['wrong']} wrong, {counts['hint']} hints, {counts['ok']} ok")
+    details = {
+        "scene": hardware.scene or None,
+        "servo_port": hardware.servo_port or None,
+        "board_port": hardware.board_port or None,
+        "counts": counts,
+        "findings": [asdict(finding) for finding in found],
+    }
+    return Result("\n".join(lines), details, FAILED if counts["wrong"] else DONE)

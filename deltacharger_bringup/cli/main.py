@@ -14,44 +14,36 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from types import FrameType
 from typing import Any
 
+from deltacharger_bringup.cli.arguments import Parser, Version, add_command
 from deltacharger_bringup.cli.output import (
     DONE,
     FAILED,
     INTERRUPTED,
     WRONG_INPUT,
     CommandError,
+    Result,
     from_os_error,
     log_line,
-    write_json,
+    show,
 )
-from deltacharger_bringup.cli.parser import Parser, Version, add_command
 from deltacharger_core import streams
 from deltacharger_core.environment import UnsupportedRos
 
 Command = tuple[str, str]
 """Its function with the module, relative to this package where it begins with a dot, and what it does."""
 COMMANDS: dict[str, Command] = {
-    "up": (".up.up", "run a charger in this process until it is stopped; prints 'ready' when it accepts goals"),
-    "dock": (".dock.dock", "dock and charge with the running charger; starts one if none runs"),
-    "undock": (".undock.undock", "stop charging, release the target and retract the arm of the running charger"),
-    "scene": ("", "list, check or explain scenes"),
-    "scene list": (".scene.list_scenes", "list the packaged scenes"),
-    "scene check": (".scene.check", "check scenes and report problems; a node checks its parameters when it starts"),
-    "scene explain": (".scene.explain", "show what a scene sets and every key it could set"),
-    "simulate": (
-        ".simulate.simulate",
-        "emulate the servos and the board of a scene on two ports, without ROS; prints their paths and 'ready'",
-    ),
-    "fault": (".fault.fault", "inject a fault into the emulated hardware of a running charger"),
-    "doctor": (
-        ".doctor.doctor",
-        "check this computer, its ports and the connected devices; report problems and how to fix them",
-    ),
+    "up": (".up.up", "run a charger until it is stopped; 'ready' when it accepts goals"),
+    "dock": (".dock.dock", "dock and charge; starts a charger if none runs"),
+    "undock": (".dock.undock", "stop charging, release the target, retract the arm"),
+    "scene": (".scene.scene", "list, check and explain scenes"),
+    "simulate": (".simulate.simulate", "emulate a scene's servos and board on two ports, without ROS"),
+    "fault": (".simulate.fault", "inject a fault into the emulated hardware"),
+    "doctor": (".doctor.doctor", "check computer, ports and devices; say how to correct them"),
     "calibrate": ("", "measure this charger's dimensions, servos, camera and pads"),
     "calibrate kinematics": (
         ".calibrate_kinematics.kinematics",
@@ -69,7 +61,7 @@ COMMANDS: dict[str, Command] = {
         ".calibrate_camera.camera",
         "find the pose of the camera from images of a board on the platform",
     ),
-    "tactile": ("", "record the pads of a charger; the laboratory trains and judges models of them"),
+    "tactile": ("", "record the pads of a charger"),
     "tactile record": (
         ".tactile_record.record",
         "dock the running charger at known offsets and record its pads; repeat the command to resume",
@@ -79,17 +71,11 @@ COMMANDS: dict[str, Command] = {
         ".vision.detect",
         "find a terminal's electrodes in one image, in a folder of images or in a recording",
     ),
-    "replay": (
-        ".replay.replay",
-        "explain why a recorded docking ended as it did, and draw it; or list the records in a folder",
-    ),
-    "view": (
-        ".view.view",
-        "show a running charger or a recording of one: mechanism, camera, pads, currents, states, decisions",
-    ),
+    "replay": (".replay.replay", "explain and draw a recorded docking, or list recordings"),
+    "view": (".view.view", "show a running or recorded charger in 3D"),
 }
 """A group of commands has no function."""
-LABORATORY = ("campaign", "report", *(f"tactile {action}" for action in ("generate", "train", "evaluate", "models")))
+LABORATORY = ("campaign", "report")
 """Commands that a laboratory brings, if it is installed."""
 HOW_TO_GET_IT = "install the laboratory: `make lab` in a clone of deltacharger, or `pip install` its folder lab"
 
@@ -103,31 +89,37 @@ _EXTRA_OF = {
 }
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit code."""
+def main(
+    arguments: Sequence[str] | None = None, commands: Mapping[str, Command] | None = None, prog: str = "deltacharger"
+) -> int:
+    """Run one command and return its exit code.
+
+    Args:
+        arguments: words of the command line; None = this process's own.
+        commands: the known ones; None = those of `deltacharger`.
+        prog: name of the program.
+    """
     words = list(sys.argv[1:] if arguments is None else arguments)
     if arguments is None:
         streams.secure()
         warnings.showwarning = _show_warning
     try:
-        code = _run(words) if arguments is not None else _interruptible(words)
+        run = partial(_run, words, commands, prog)
+        code = run() if arguments is not None else _interruptible(words, run)
     except SystemExit as end:  # argparse has printed its help or an error
         code = int(end.code or DONE)
     return streams.ended(code)
 
 
-def _interruptible(words: list[str]) -> int:
+def _interruptible(words: list[str], run: Callable[[], int]) -> int:
     sys.unraisablehook = _repeat
     try:
         signal.signal(signal.SIGINT, _interrupt)  # until the command, imported later, handles signals
-        return _run(words)
+        return run()
     except KeyboardInterrupt:
         if "--as-node" in words:  # nodes then end with 0
             return DONE
-        log_line("interrupted")
-        if "--json" in words:
-            write_json({"success": False, "error": "interrupted"})
-        return INTERRUPTED
+        return show(CommandError("interrupted", INTERRUPTED).result(), "--json" in words)
     finally:
         if signal.getsignal(signal.SIGINT) is _interrupt:  # nothing catches it while the interpreter ends
             signal.signal(signal.SIGINT, signal.SIG_DFL)
@@ -151,39 +143,35 @@ def _repeat(lost: Any) -> None:
         threading.Timer(_SOON, os.kill, (os.getpid(), signal.SIGINT)).start()
 
 
-def _run(words: list[str]) -> int:
+def _run(words: list[str], commands: Mapping[str, Command] | None, prog: str) -> int:
     Parser.wants_json = "--json" in words
     options = argparse.Namespace(json=Parser.wants_json)
     try:
         _require_plain(words)
-        commands = COMMANDS if COMMANDS.get("".join(words[:1]), ("",))[0] else every_command()
-        _require_laboratory(words, commands)
-        parser = build_parser(commands)
+        if commands is None:
+            commands = COMMANDS if words and words[0] in COMMANDS else every_command()
+            _require_laboratory(words, commands)
+        parser = build_parser(commands, prog)
         parser.parse_args(words, options)
         if not hasattr(options, "run"):
             parser.print_help(sys.stderr)
             return WRONG_INPUT
-        return int(options.run(options))
+        result: Result = options.run(options)
     except CommandError as error:
-        failure = error
+        result = error.result()
     except UnsupportedRos as error:  # its message is already printed
-        if options.json:
-            write_json({"success": False, "error": str(error)})
-        return WRONG_INPUT
+        result = Result(details={"error": str(error)}, code=WRONG_INPUT)
     except OSError as error:
-        failure = from_os_error(error)
+        result = from_os_error(error).result()
     except UnicodeError as error:
-        failure = CommandError(f"a name or text is not UTF-8 ({error}); rename or change it", WRONG_INPUT)
+        text = f"a name or text is not UTF-8 ({error}); rename or change it"
+        result = CommandError(text, WRONG_INPUT).result()
     except Exception as error:
         known = _known(error)
         if known is None:
             raise
-        failure = known
-    text = streams.shortened(str(failure))
-    log_line(text)
-    if options.json:
-        write_json({"success": False, "error": text, **failure.details})
-    return failure.exit_code
+        result = known.result()
+    return show(result, options.json)
 
 
 def _require_plain(words: list[str]) -> None:
@@ -199,7 +187,7 @@ def _require_plain(words: list[str]) -> None:
 def _require_laboratory(words: list[str], commands: Mapping[str, Command]) -> None:
     """Refuse a command of the laboratory where that is not installed, and say how to get it."""
     for name in LABORATORY:
-        if name not in commands and name.split() == words[: len(name.split())]:
+        if name not in commands and words[:1] == [name]:
             raise CommandError(f"{name} is a command of the laboratory: {HOW_TO_GET_IT}", WRONG_INPUT)
 
 
@@ -232,14 +220,13 @@ def every_command() -> dict[str, Command]:
     return found
 
 
-def build_parser(known: Mapping[str, Command]) -> argparse.ArgumentParser:
+def build_parser(known: Mapping[str, Command], prog: str = "deltacharger") -> argparse.ArgumentParser:
     """Return the parser of `deltacharger` with these commands."""
     parser: argparse.ArgumentParser = Parser(
-        prog="deltacharger",
-        description="Run, try and inspect DeltaCharger, a robot arm that docks to other robots and charges them.",
-        epilog="Exit codes: 0 done, 1 the job failed, 2 wrong usage or input, 130 interrupted. "
-        "Simulated scenes use ROS_DOMAIN_ID=87 and this machine only, unless ROS_DOMAIN_ID and "
-        "ROS_AUTOMATIC_DISCOVERY_RANGE are set.",
+        prog=prog,
+        description="A robot arm that docks to other robots and charges them.",
+        epilog="Exit codes: 0 done, 1 the job failed, 2 wrong usage or input, 130 interrupted. Simulated scenes use "
+        "ROS_DOMAIN_ID=87 and this machine only, unless ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE are set.",
     )
     parser.add_argument("--version", action=Version, nargs=0, help="print the version")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Common to all commands: exit codes, output of text and JSON, and signals as events."""
+"""Common to all commands: their result, exit codes and errors, and signals as events."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from types import FrameType
 from typing import Any
 
@@ -21,6 +22,23 @@ from deltacharger_ros.outcomes import json_ready
 DONE, FAILED, WRONG_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 _WRONG_PATH = (errno.ENAMETOOLONG, errno.ELOOP, errno.EINVAL, errno.EROFS, errno.ENXIO, errno.ENODEV)
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a command did or found. Printed as text, or with --json as one object.
+
+    Attributes:
+        text: for stdout.
+        details: keys of the object, beside `success`, which is true with exit code 0.
+        code: exit code.
+        remarks: lines for stderr.
+    """
+
+    text: str = ""
+    details: Mapping[str, Any] = field(default_factory=dict)
+    code: int = DONE
+    remarks: Sequence[str] = ()
 
 
 class CommandError(Exception):
@@ -36,6 +54,11 @@ class CommandError(Exception):
         self.exit_code = exit_code
         self.details = details
         super().__init__(message)
+
+    def result(self) -> Result:
+        """Return the result of the command."""
+        text = streams.shortened(str(self))
+        return Result("", {"error": text, **self.details}, self.exit_code, (text,))
 
 
 def is_wrong_path(error: OSError) -> bool:
@@ -66,7 +89,7 @@ def wrong_input(*kinds: type[Exception], before: str = "", **details: Any) -> It
     """Turn errors about a given file or value into a CommandError.
 
     Args:
-        kinds: classes of the errors.
+        kinds: classes of the errors; their attributes `file`, `key` and `lines` become details.
         before: begins the message.
         details: as in `CommandError`.
 
@@ -78,6 +101,7 @@ def wrong_input(*kinds: type[Exception], before: str = "", **details: Any) -> It
     except kinds as error:
         if isinstance(error, OSError):
             raise from_os_error(error, before) from error
+        details |= {name: getattr(error, name) for name in ("file", "key", "lines") if hasattr(error, name)}
         raise CommandError(f"{before}{error}", WRONG_INPUT, **details) from error
 
 
@@ -91,23 +115,47 @@ def print_text(text: str) -> None:
     streams.write(text, sys.stdout)
 
 
-def print_result(options: argparse.Namespace, text: str, value: dict[str, Any]) -> None:
-    """Write a command's result: `text`, or with --json `value` as the JSON object."""
-    if options.json:
-        write_json(value)
-    else:
-        print_text(text)
+def show(result: Result, as_json: bool) -> int:
+    """Print a result as text or as one JSON object, in which NaN and infinity are null; return its exit code."""
+    if as_json:
+        value = json_ready({"success": result.code == DONE, **result.details})
+        print_text(json.dumps(value, ensure_ascii=not streams.takes_unicode()))
+    elif result.text:
+        print_text(result.text)
+    for remark in result.remarks:
+        log_line(remark)
+    return result.code
 
 
-def answer(options: argparse.Namespace, value: dict[str, Any]) -> None:
-    """Write the JSON object of a command early; later errors are written to stderr only."""
-    write_json(value)
+def answer(options: argparse.Namespace, result: Result) -> None:
+    """Print a result before the command ends; later errors are written to stderr only."""
+    show(result, options.json)
     options.json = False
 
 
-def write_json(value: dict[str, Any]) -> None:
-    """Write the JSON object of the command to stdout; NaN and infinity become null."""
-    print_text(json.dumps(json_ready(value), ensure_ascii=not streams.takes_unicode()))
+def conclude(
+    options: argparse.Namespace,
+    refused: bool,
+    save: Callable[[str], None],
+    text: str,
+    details: dict[str, Any],
+    remarks: Sequence[str],
+) -> Result:
+    """Write a calibration to --out, unless it is doubtful without --force, and return it as a result.
+
+    Args:
+        options: of the command, with `out` and `force`.
+        refused: whether it should not be used.
+        save: writes it to a file.
+        text, details, remarks: as in `Result`.
+    """
+    written = options.out if options.out is not None and (options.force or not refused) else None
+    if written is not None:
+        save(written)
+        remarks = [*remarks, f"wrote {written}"]
+    elif options.out is not None:
+        remarks = [*remarks, f"{options.out} was not written; --force writes it anyway"]
+    return Result(text, {**details, "written": written}, FAILED if refused and written is None else DONE, remarks)
 
 
 class Interrupts:
@@ -136,6 +184,11 @@ class Interrupts:
         for number, handler in self._before.items():
             # After an interruption the process is ending; a third signal must not stop that.
             signal.signal(number, signal.SIG_IGN if self.number else handler)
+
+    @property
+    def failure(self) -> int:
+        """Exit code of a job that ended early: 130 after a signal, else 1."""
+        return INTERRUPTED if self.number else FAILED
 
     def exit_code(self, otherwise: int) -> int:
         """Return the exit code of a server after a signal: 130 after SIGINT, 0 after others."""

@@ -9,17 +9,14 @@ import time
 from pathlib import Path
 from typing import Any
 
-from deltacharger_bringup.cli.files import picture_to_write
+from deltacharger_bringup.cli.arguments import namespace_option, picture_to_write
 from deltacharger_bringup.cli.output import (
-    DONE,
     WRONG_INPUT,
     CommandError,
+    Result,
     log_line,
-    print_text,
-    write_json,
     wrong_input,
 )
-from deltacharger_bringup.cli.parser import namespace_option
 from deltacharger_core import environment, streams
 from deltacharger_core.mcap_file import BAGS, McapFile, RecordingError
 from deltacharger_records.recording.folder import END
@@ -35,7 +32,7 @@ def add_replay(parser: argparse.ArgumentParser) -> None:
     namespace_option(parser)
 
 
-def replay(options: argparse.Namespace) -> int:
+def replay(options: argparse.Namespace) -> Result:
     """Explain one record and draw it on request, or list the records of a folder."""
     environment.prepare()
     path = Path(options.path)
@@ -43,7 +40,7 @@ def replay(options: argparse.Namespace) -> int:
         return _folder(options, path) if path.is_dir() else _file(options, path)
 
 
-def _file(options: argparse.Namespace, path: Path) -> int:
+def _file(options: argparse.Namespace, path: Path) -> Result:
     try:
         from deltacharger_records.replay.record import replay as read
         from deltacharger_records.replay.words import story, why
@@ -62,39 +59,32 @@ def _file(options: argparse.Namespace, path: Path) -> int:
         except PictureError as error:
             raise CommandError(f"no picture: {error}") from error
         log_line(f"picture: {picture}")
-    if options.json:
-        write_json({**found.as_dict(), "story": lines, "why": closing, "picture": str(picture) if picture else None})
-        return DONE
-    outcome = found.outcome()
-    print_text(f"{_when(found.began)}  {streams.plain(found.request_id) or 'no request id'}  {outcome['name']}")
+    head = [f"{_when(found.began)}  {streams.plain(found.request_id) or 'no request id'}  {found.outcome()['name']}"]
     if found.recording.damage:
-        print_text(f"incomplete: {found.recording.damage}")
-    print_text("\n".join([*lines, "", closing]))
-    return DONE
+        head.append(f"incomplete: {found.recording.damage}")
+    details = {"story": lines, "why": closing, "picture": str(picture) if picture else None}
+    return Result("\n".join([*head, *lines, "", closing]), {**found.as_dict(), **details})
 
 
-def _folder(options: argparse.Namespace, folder: Path) -> int:
+def _folder(options: argparse.Namespace, folder: Path) -> Result:
     if options.picture:
         raise CommandError("--picture draws one record; give a file, not a folder", WRONG_INPUT)
     names = sorted(path for path in folder.iterdir() if path.name.endswith((*BAGS, PARTIAL)))
     entries = [_entry(path) for path in names if not path.name.startswith(".")]
-    if options.json:
-        write_json({"folder": str(folder), "records": entries})
-        return DONE
-    if not entries:
-        log_line(f"{folder}: no records")
+    lines = []
     for entry in entries:
         name = streams.plain(entry["file"])
         if entry["problem"]:
-            print_text(f"{name}: {streams.plain(entry['problem'])}")
+            lines.append(f"{name}: {streams.plain(entry['problem'])}")
             continue
         size = entry["bytes"] / 1e6
         alone = f"; the recorder does not manage it: {entry['left_alone']}" if entry["left_alone"] else ""
-        print_text(
+        lines.append(
             f"{_when(round(entry['time'] * 1e9))}  {entry['duration']:9.1f} s  {size:7.2f} MB  "
             f"{entry['outcome'] or '–':<22} {streams.plain(entry['request_id']) or '–'}  ({name}{alone})"
         )
-    return DONE
+    details = {"folder": str(folder), "records": entries}
+    return Result("\n".join(lines), details, remarks=() if entries else [f"{folder}: no records"])
 
 
 def _entry(path: Path) -> dict[str, Any]:

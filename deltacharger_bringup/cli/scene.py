@@ -1,17 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger scene list|check|explain`."""
+"""`deltacharger scene`: list, check and explain scenes."""
 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import dataclasses
 import math
 from collections.abc import Iterator
 from typing import Any
 
-from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, CommandError, log_line, print_text, write_json
-from deltacharger_bringup.cli.parser import DEFAULT_SCENE
+from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, Result, wrong_input
 from deltacharger_core.parameters import Declaration, declaration
 from deltacharger_scenes.following import contradictions, servos_apart
 from deltacharger_scenes.node_table import NODES
@@ -20,78 +18,47 @@ from deltacharger_scenes.scene import Scene, SceneError, load_scene, packaged_sc
 from deltacharger_sim.proven import doubts
 
 
-def add_check(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `scene check`."""
-    parser.add_argument("scenes", nargs="*", metavar="NAME|FILE", help="default: every packaged scene")
-
-
-def add_explain(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `scene explain`."""
-    parser.add_argument("scene", nargs="?", default=DEFAULT_SCENE, metavar="NAME|FILE")
-    parser.add_argument("--all", action="store_true", help="also show the keys with default values")
-
-
-@contextlib.contextmanager
-def refusing_scenes(before: str = "") -> Iterator[None]:
-    """Report a refused scene with exit code 2, its file and its key; `before` begins the message.
-
-    Raises:
-        CommandError: instead of SceneError.
-    """
-    try:
-        yield
-    except SceneError as error:
-        raise CommandError(f"{before}{error}", WRONG_INPUT, file=error.file, key=error.key) from error
+def add_scene(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `scene`."""
+    text = "check these; of a single one, also show what it sets (default: list every packaged scene)"
+    parser.add_argument("scenes", nargs="*", metavar="NAME|FILE", help=text)
+    parser.add_argument("--all", action="store_true", help="of a single scene, also show the keys with default values")
 
 
 def load_for_command(name_or_file: str) -> Scene:
     """Return the scene; CommandError with exit code 2 if it is refused."""
-    with refusing_scenes():
+    with wrong_input(SceneError):
         return load_scene(name_or_file)
 
 
-def list_scenes(options: argparse.Namespace) -> int:
-    """List the packaged scenes with their descriptions."""
-    scenes = []
-    for name, path in packaged_scenes().items():
+def scene(options: argparse.Namespace) -> Result:
+    """Check scenes: the first problem of each, unvalidated values of its world and contradictions."""
+    reports, lines, remarks = [], [], []
+    names = options.scenes or list(packaged_scenes())
+    for name in names:
+        report: dict[str, Any] = {"scene": name, "kind": "refused", "description": "", "file": name, "ok": False}
+        report |= {"key": "", "problem": "", "warnings": []}
         try:
-            scene = load_scene(path)
-            scenes.append({"name": name, "kind": _kind(scene), "description": scene.description, "file": str(path)})
-        except SceneError as error:
-            scenes.append({"name": name, "kind": "refused", "description": error.problem, "file": str(path)})
-    if options.json:
-        write_json({"scenes": scenes})
-        return DONE
-    width = max((len(entry["name"]) for entry in scenes), default=0)
-    for entry in scenes:
-        print_text(f"{entry['name']:<{width}}  {entry['kind']:<9}  {entry['description']}")
-    return DONE
-
-
-def check(options: argparse.Namespace) -> int:
-    """Load scenes; report the first problem of each, unvalidated values of its world and contradictions."""
-    reports = []
-    for name in options.scenes or list(packaged_scenes()):
-        try:
-            scene = load_scene(name)
-            wrong = next(problems(scene), None)
+            loaded = load_scene(name)
+            report |= {"scene": loaded.name, "description": loaded.description, "file": loaded.file}
+            wrong = next(problems(loaded), None)
             if wrong is not None:
-                raise SceneError(scene.file, *wrong)
-            warnings = list(_warnings(scene))
-            good = {"scene": scene.name, "file": scene.file, "ok": True, "key": "", "problem": "", "warnings": warnings}
-            reports.append(good)
-            for warning in warnings:
-                log_line(f"{scene.file}: warning: {warning}")
+                raise SceneError(loaded.file, *wrong)
+            warnings = list(_warnings(loaded))
+            remarks += [f"{loaded.file}: warning: {warning}" for warning in warnings]
+            report |= {"kind": _kind(loaded), "ok": True, "warnings": warnings}
+            if len(names) == 1:
+                lines += ["", *_explained(loaded, report, options.all)]
         except SceneError as error:
-            refused = {"scene": name, "file": error.file, "ok": False, "key": error.key, "problem": error.problem}
-            reports.append({**refused, "warnings": []})
-            log_line(str(error))
-    if options.json:
-        write_json({"ok": all(report["ok"] for report in reports), "scenes": reports})
-    else:
-        for report in reports:
-            print_text(f"{report['scene']}: {'ok' if report['ok'] else 'refused'}")
-    return DONE if all(report["ok"] for report in reports) else WRONG_INPUT
+            report |= {"file": error.file, "key": error.key, "problem": error.problem}
+            remarks.append(str(error))
+        reports.append(report)
+    width = max(len(report["scene"]) for report in reports)
+    table = [f"{report['scene']:<{width}}  {report['kind']:<9}  {report['description']}".rstrip() for report in reports]
+    code = DONE if all(report["ok"] for report in reports) else WRONG_INPUT
+    refused = "; ".join(f"{report['file']}: {report['problem']}" for report in reports if not report["ok"])
+    details = {"scenes": reports} | ({"error": refused} if refused else {})
+    return Result("\n".join([*table, *lines]), details, code, remarks)
 
 
 def _warnings(scene: Scene) -> Iterator[str]:
@@ -104,27 +71,20 @@ def _warnings(scene: Scene) -> Iterator[str]:
             yield f"{key}: {problem}"
 
 
-def explain(options: argparse.Namespace) -> int:
-    """Show what a scene sets, starts and cannot do; with --all every possible key."""
-    scene = load_for_command(options.scene)
+def _explained(scene: Scene, report: dict[str, Any], everything: bool) -> Iterator[str]:
+    """Yield what a scene sets and cannot do, and add it to a report; `everything`: all its keys."""
     keys = list(describe(scene))
-    shown = keys if options.all or options.json else [key for key in keys if key["set"]]
     lacks = {name: spec.lacks for name, spec in NODES.items() if spec.lacks and not _has(scene, name)}
-    if options.json:
-        head = {"scene": scene.name, "description": scene.description, "file": scene.file}
-        write_json({**head, "keys": shown, "lacks": lacks})
-        return DONE
-    print_text(f"{scene.name} ({_kind(scene)}): {scene.description}\n{scene.file}\n")
-    for key in shown:
-        print_text(f"{key['key']} = {_plain(key['value'])}{_unit(key)}")
-        about = [text for text in (key["doc"], _range(key), "" if key["set"] else "default") if text]
-        if about:
-            print_text(f"    {'; '.join(about)}")
-    if not options.all:
-        print_text(f"\n{len(keys) - len(shown)} more keys have their default; --all shows them.")
-    for name, lack in lacks.items():
-        print_text(f"without {name}: {lack}")
-    return DONE
+    report |= {"keys": keys, "lacks": lacks}
+    for key in keys:
+        if key["set"] or everything:
+            yield f"{key['key']} = {_plain(key['value'])}{_unit(key)}"
+            about = [text for text in (key["doc"], _range(key), "" if key["set"] else "default") if text]
+            if about:
+                yield f"    {'; '.join(about)}"
+    if not everything:
+        yield f"\n{sum(not key['set'] for key in keys)} more keys have their default; --all shows them."
+    yield from (f"without {name}: {lack}" for name, lack in lacks.items())
 
 
 def _has(scene: Scene, name: str) -> bool:

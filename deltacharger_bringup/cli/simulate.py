@@ -1,28 +1,41 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger simulate`: the emulated hardware of a scene in a separate process, without ROS."""
+"""`deltacharger simulate` and `fault`: emulated hardware in a process of its own, without ROS, and faults of it."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import threading
 from pathlib import Path
+from typing import Any
 
-from deltacharger_bringup.cli.files import file_to_write
+from deltacharger_bringup.cli.arguments import (
+    DEFAULT_SCENE,
+    NOT_NEGATIVE,
+    between,
+    file_to_write,
+    integer,
+    namespace_option,
+    scene_option,
+)
+from deltacharger_bringup.cli.charger import require_domain
 from deltacharger_bringup.cli.output import (
     DONE,
     FAILED,
     WRONG_INPUT,
     CommandError,
     Interrupts,
+    Result,
     answer,
-    log_line,
-    print_text,
 )
-from deltacharger_bringup.cli.parser import DEFAULT_SCENE, namespace_option, scene_option
 from deltacharger_bringup.cli.scene import load_for_command
-from deltacharger_core import real_time, signals
+from deltacharger_core import environment, real_time, runtime, signals
+from deltacharger_core.parameters import ParameterError
 from deltacharger_ros.outcomes import json_ready
+from deltacharger_sim.charger.fault_channel import SOCKET, ask
+from deltacharger_sim.charger.fault_kinds import KINDS, Kind
+from deltacharger_sim.charger.faults import Fault
 from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 
 _QUIET = 0.6  # s without a byte from any host; then no node is left that could switch off torque or contactor
@@ -39,25 +52,20 @@ def add_simulate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--as-node", action="store_true", help=text)
 
 
-def simulate(options: argparse.Namespace) -> int:
+def simulate(options: argparse.Namespace) -> Result:
     """Emulate the hardware until SIGINT or SIGTERM."""
     scene = load_for_command(options.scene or DEFAULT_SCENE)
     if scene.simulation is None:
-        raise CommandError(
-            f"scene '{scene.name}' has no key 'simulation': choose a simulated scene",
-            WRONG_INPUT,
-        )
+        raise CommandError(f"scene '{scene.name}' has no key 'simulation': choose a simulated scene", WRONG_INPUT)
     if options.record:
         file_to_write("--record", options.record)
     real_time.take_priority()  # no program delays a real board
     hardware = SimulatedCharger(scene.simulation, Path(options.directory), options.namespace)
     with Interrupts() as interrupts, hardware as charger:
         signals.follow_starter()
-        if options.json:
-            ports = {"servo": charger.servo_port, "board": charger.board_port}
-            answer(options, {"ready": True, **ports, "scene": scene.name})
-        else:
-            print_text(f"servo {charger.servo_port}\nboard {charger.board_port}\nready")
+        ports = {"servo": charger.servo_port, "board": charger.board_port}
+        text = "\n".join([*(f"{name} {port}" for name, port in ports.items()), "ready"])
+        answer(options, Result(text, {"ready": True, **ports, "scene": scene.name}))
         while not interrupts.event.wait(0.2):
             broken = charger.errors()
             if broken:
@@ -68,5 +76,148 @@ def simulate(options: argparse.Namespace) -> int:
         record = charger.record()
         if options.record:
             Path(options.record).write_text(json.dumps(json_ready(record), indent=2) + "\n", encoding="utf-8")
-        log_line("in the simulated world: " + ", ".join(f"{key} {value}" for key, value in record.items()))
-        return DONE if options.as_node else interrupts.exit_code(DONE)
+        remark = "in the simulated world: " + ", ".join(f"{key} {value}" for key, value in record.items())
+        return Result(code=DONE if options.as_node else interrupts.exit_code(DONE), remarks=[remark])
+
+
+_FLAGS = {"last": "--for-s", "servo": "--servo", "amount": "--amount"}
+
+
+def add_fault(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `fault`."""
+    parser.add_argument("kind", nargs="?", metavar="KIND", help="kind of fault; see --list")
+    parser.add_argument("--for-s", type=NOT_NEGATIVE, default=0.0, metavar="S", help="duration (until --clear)")
+    parser.add_argument("--amount", type=between(-1e9, 1e9), metavar="A", help="size, in the unit of its kind")
+    parser.add_argument("--servo", type=integer(1, 3), default=0, metavar="N", help="id, for faults of one servo")
+    parser.add_argument("--list", action="store_true", help="list the kinds and the active faults")
+    parser.add_argument("--clear", action="store_true", help="end all lasting faults")
+    parser.add_argument("--directory", metavar="DIR", help="folder of the ports (default: by ROS domain)")
+    namespace_option(parser)
+
+
+def fault(options: argparse.Namespace) -> Result:
+    """Inject one fault, end all, or list them."""
+    if (options.kind is not None) + options.list + options.clear != 1:
+        raise CommandError("give exactly one of KIND, --list and --clear", WRONG_INPUT)
+    require_domain()
+    if options.kind is not None:
+        return _inject(options, _checked(options))
+    if options.amount is not None or options.servo or options.for_s:
+        raise CommandError("--amount, --servo and --for-s need a KIND", WRONG_INPUT)
+    return _clear(options) if options.clear else _list(options)
+
+
+def _checked(options: argparse.Namespace) -> Fault:
+    try:
+        return Fault(options.kind, last=options.for_s, servo=options.servo, amount=options.amount)
+    except ParameterError as error:
+        flag = _FLAGS.get(error.key)
+        raise CommandError(f"{flag}: {error.problem}" if flag else error.problem, WRONG_INPUT) from error
+
+
+def _inject(options: argparse.Namespace, wanted: Fault) -> Result:
+    request: dict[str, Any] = {"command": "begin", "kind": wanted.kind, "last": wanted.last, "servo": wanted.servo}
+    if wanted.amount is not None:
+        request["amount"] = wanted.amount
+    reply = _ask(options, request)
+    kind = KINDS[wanted.kind]
+    injected = {
+        "kind": wanted.kind,
+        "servo": wanted.whom or None,
+        "amount": wanted.how_much if kind.amount else None,
+        "for_s": wanted.last or None,
+    }
+    text = f"{_named(injected)}: {kind.text}{_until(wanted, kind)}"
+    return Result(text, {**injected, "active": reply["active"]})
+
+
+def _until(wanted: Fault, kind: Kind) -> str:
+    if not kind.lasts:
+        return ""
+    return f", for {wanted.last:g} s" if wanted.last else ", until --clear"
+
+
+def _clear(options: argparse.Namespace) -> Result:
+    reply = _ask(options, {"command": "clear"})
+    text = "no faults are active; latched errors of servos and board stay until they are cleared"
+    return Result(text, {"active": reply["active"]})
+
+
+def _list(options: argparse.Namespace) -> Result:
+    try:
+        active = _ask(options, {"command": "active"})["active"]
+    except CommandError:
+        active = None
+    lines = []
+    for name, kind in KINDS.items():
+        amount = f"; amount: {kind.amount.name}, usually {kind.amount.default:g}" if kind.amount else ""
+        servo = {"one": "; --servo, usually 2", "some": "; --servo, usually all"}.get(kind.servo, "")
+        lines.append(f"{name:20} {kind.text}{amount}{servo}{'' if kind.lasts else '; momentary'}")
+    begun = None if active is None else "active: " + ("; ".join(_named(each) for each in active) or "none")
+    lines += ["", begun or _none_runs(options)]
+    return Result("\n".join(lines), {"kinds": [_described(name) for name in KINDS], "active": active})
+
+
+def _described(name: str) -> dict[str, Any]:
+    kind = KINDS[name]
+    amount = kind.amount
+    return {
+        "kind": name,
+        "text": kind.text,
+        "lasts": kind.lasts,
+        "servo": kind.servo or None,
+        "amount": amount and {"name": amount.name, "low": amount.low, "high": amount.high, "default": amount.default},
+    }
+
+
+def _named(each: dict[str, Any]) -> str:
+    words = [each["kind"]]
+    if each["servo"]:
+        words.append(f"of servo {each['servo']}")
+    if each["amount"] is not None:
+        words.append(f"({each['amount']:g})")
+    if each.get("remaining_s") is not None:
+        words.append(f"for {each['remaining_s']:.1f} s more")
+    return " ".join(words)
+
+
+def _ask(options: argparse.Namespace, request: dict[str, Any]) -> dict[str, Any]:
+    """Send a request to the charger that the options name.
+
+    Raises:
+        CommandError: no charger runs, or it refuses.
+    """
+    for path in _places(options):
+        try:
+            reply = ask(path, request)
+        except ConnectionError:
+            continue
+        except OSError as error:
+            raise CommandError(f"{path}: {error}; does the charger belong to another user, or does it hang?") from error
+        if not reply["success"]:
+            raise CommandError(reply["error"])
+        return reply
+    raise CommandError(_none_runs(options))
+
+
+def _places(options: argparse.Namespace) -> list[Path]:
+    """Return possible paths of the charger's socket: in the folder of its ports, or by ROS domain."""
+    if options.directory:
+        return [Path(options.directory) / SOCKET]
+    return [runtime.charger(domain, options.namespace) for domain in _domains()]
+
+
+def _domains() -> list[int]:
+    """Return the given ROS domain, or else the domain of simulated scenes and domain 0."""
+    return [environment.domain()] if os.environ.get("ROS_DOMAIN_ID") else [environment.SIMULATION_DOMAIN, 0]
+
+
+def _none_runs(options: argparse.Namespace) -> str:
+    if options.directory:
+        return f"no simulated charger runs on the ports in {options.directory}"
+    where = " or ".join(str(domain) for domain in _domains())
+    space = f" under the namespace '{options.namespace}'" if options.namespace else ""
+    return (
+        f"no simulated charger runs in ROS domain {where}{space}: start one with `deltacharger up`, or give the folder "
+        "of its ports with --directory"
+    )

@@ -10,22 +10,18 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from deltacharger_bringup.cli.arguments import MILLIMETRES, SEED, between, file_to_write, integer, namespace_option
 from deltacharger_bringup.cli.charger import DISCOVERY, prepare, ros_context
-from deltacharger_bringup.cli.files import file_to_write
 from deltacharger_bringup.cli.output import (
-    DONE,
     FAILED,
     INTERRUPTED,
     WRONG_INPUT,
     CommandError,
     Interrupts,
+    Result,
     log_line,
-    print_text,
-    write_json,
     wrong_input,
 )
-from deltacharger_bringup.cli.parser import namespace_option
-from deltacharger_bringup.cli.types import MILLIMETRES, SEED, between, integer
 from deltacharger_core import environment
 from deltacharger_docking.codes import Code, Rejected, Unreachable
 from deltacharger_docking.observation import DockingOutcome
@@ -74,7 +70,7 @@ def add_record(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--tare-every", type=integer(1, 10_000), default=25, metavar="N", help=text)
 
 
-def record(options: argparse.Namespace) -> int:
+def record(options: argparse.Namespace) -> Result:
     """Record the missing dockings of a set, or compose the data set."""
     out, part = file_to_write("--out", options.out, ".npz"), None if options.compose else _part(options)
     environment.prepare()
@@ -85,7 +81,7 @@ def record(options: argparse.Namespace) -> int:
 
         require_mcap()
         with Journal(out) as journal:
-            call = _Call(journal, options.json)
+            call = _Call(journal)
             if part is None:
                 return call.finish(None)
             shared = ("rig", "sensor", "frames", "rows", "threshold", "dwell_s")
@@ -155,10 +151,9 @@ class _Call:
         count: dockings that this call added.
     """
 
-    def __init__(self, journal: Journal, as_json: bool) -> None:
+    def __init__(self, journal: Journal) -> None:
         self.journal = journal
         self.count = 0
-        self._json = as_json
         self._began = time.monotonic()
 
     def left(self, part: Part) -> list[int]:
@@ -200,21 +195,18 @@ class _Call:
             "simulated": None if settings is None else settings.simulated,
         }
 
-    def finish(self, part: Part | None) -> int:
-        """Compose the data set and print its size."""
+    def finish(self, part: Part | None) -> Result:
+        """Compose the data set and return its size."""
         out, journal = self.journal.out, self.journal
         data = journal.compose()
         if data is None:
             raise CommandError(f"{journal.folder} contains no dockings: record some with --set", WRONG_INPUT)
-        if self._json:
-            write_json({"success": True, **self.summary(part), "n": len(data)})
-            return DONE
         assert journal.settings is not None
         kind = "simulated " if journal.settings.simulated else ""
-        print_text(f"{out}: {len(data)} rows of {len(journal.dockings)} {kind}dockings")
+        lines = [f"{out}: {len(data)} rows of {len(journal.dockings)} {kind}dockings"]
         for name, each in journal.parts.items():
-            print_text(f"  {name:<12} {len(journal.done(each))} of {len(each.poses())}")
-        return DONE
+            lines.append(f"  {name:<12} {len(journal.done(each))} of {len(each.poses())}")
+        return Result("\n".join(lines), {**self.summary(part), "n": len(data)})
 
 
 def _record(options: argparse.Namespace, call: _Call, part: Part, settings: Settings) -> None:
@@ -243,7 +235,7 @@ def _record(options: argparse.Namespace, call: _Call, part: Part, settings: Sett
                 call.start(part)
                 _Sessions(call, part, settings, charger, machine).run(options.tare_every, interrupts)
         except ArmError as error:
-            raise CommandError(str(error), INTERRUPTED if interrupts.event.is_set() else FAILED) from error
+            raise CommandError(str(error), interrupts.failure) from error
         finally:
             if begun and not charger.is_driving:
                 journal.set_driver("")

@@ -5,33 +5,47 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterable
+import threading
+import time
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from rclpy.context import Context
+from sensor_msgs.msg import CameraInfo, Image
 
-from deltacharger_bringup.calibrate.camera_views import ViewsFolder
-from deltacharger_bringup.calibrate.view_places import view_places
-from deltacharger_bringup.cli.charger import DISCOVERY, prepare, ros_context
-from deltacharger_bringup.cli.output import FAILED, INTERRUPTED, CommandError, Interrupts, log_line
+from deltacharger_bringup.cli.camera_views import ViewsFolder, view_places
+from deltacharger_bringup.cli.charger import DISCOVERY
+from deltacharger_bringup.cli.output import FAILED, CommandError, Interrupts, log_line
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_records.datasets.arm_client import STILL, ArmClient
+from deltacharger_records.datasets.arm_guest import ArmError
+from deltacharger_ros import qos
+from deltacharger_ros.guest import Guest
+from deltacharger_vision.cameras.ros_images import color_array
 from deltacharger_vision.hand_eye.board import Board, markers_in
 from deltacharger_vision.hand_eye.calibrate import PLACES_APART
+from deltacharger_vision.images import Intrinsics, rgb8
 from deltacharger_vision.mount import Mount
-
-if TYPE_CHECKING:
-    from deltacharger_bringup.calibrate.camera_client import CameraClient
-    from deltacharger_records.datasets.arm_client import ArmClient
+from deltacharger_vision.ros.messages import intrinsics_of, slash_hint
 
 _IMAGE = 5.0  # s; limit for an image
 _BLIND = 6  # positions without the board before giving up
 _SHARE = 3  # positions tried per wanted view
 
 
-def take(options: argparse.Namespace, board: Board, offset: Vector, geometry: DeltaGeometry) -> None:
-    """Fill the folder `options.views` up to `options.take` views.
+def take(
+    options: argparse.Namespace,
+    board: Board,
+    offset: Vector,
+    geometry: DeltaGeometry,
+    context: Context,
+    interrupts: Interrupts,
+) -> None:
+    """Fill the folder `options.views` up to `options.take` views, with the charger that `prepare` found.
 
     Raises:
         CommandError: the charger or the camera does not answer, or the board is not visible; exit code 130 after an
@@ -39,34 +53,25 @@ def take(options: argparse.Namespace, board: Board, offset: Vector, geometry: De
         VisionError, ViewsError: the camera's intrinsics, its images or the folder cannot be used.
     """
     mount = Mount.load(options.mount) if options.mount else Mount.default()
-    prepare(options, look_around=True)
     folder: ViewsFolder | None = None
-    with Interrupts() as interrupts, ros_context() as context:
-        from deltacharger_bringup.calibrate.camera_client import CameraClient, CameraError
-        from deltacharger_records.datasets.arm_client import ArmClient
-        from deltacharger_records.datasets.arm_guest import ArmError
-
-        try:
-            with (
-                ArmClient(context, geometry, options.namespace, interrupts.event) as arm,
-                CameraClient(context, options.color_topic, options.namespace) as camera,
-            ):
-                arm.wait_until_ready(DISCOVERY)
-                intrinsics = camera.intrinsics(DISCOVERY, arm.check)
-                folder = ViewsFolder(Path(options.views), intrinsics)
-                if folder.angles:
-                    log_line(
-                        f"{options.views} contains {len(folder.angles)} views already; continuing to {options.take}"
-                    )
-                radius = math.hypot(*board.pattern) / 2 + board.margin
-                places = view_places(geometry, 1e-3 * options.z_max_mm, mount, intrinsics, offset, radius)
-                if len(folder.angles) < options.take:
-                    _visit(arm, camera, board, _left(places, folder, geometry), folder, options.take)
-        except (ArmError, CameraError) as error:
-            code = INTERRUPTED if interrupts.event.is_set() else FAILED
-            held = 0 if folder is None else len(folder.angles)
-            kept = f"; {options.views} contains {held} views; repeat the command to resume" if held else ""
-            raise CommandError(f"{error}{kept}", code, views=held) from error
+    try:
+        with (
+            ArmClient(context, geometry, options.namespace, interrupts.event) as arm,
+            CameraClient(context, options.color_topic, options.namespace) as camera,
+        ):
+            arm.wait_until_ready(DISCOVERY)
+            intrinsics = camera.intrinsics(DISCOVERY, arm.check)
+            folder = ViewsFolder(Path(options.views), intrinsics)
+            if folder.angles:
+                log_line(f"{options.views} contains {len(folder.angles)} views already; continuing to {options.take}")
+            radius = math.hypot(*board.pattern) / 2 + board.margin
+            places = view_places(geometry, 1e-3 * options.z_max_mm, mount, intrinsics, offset, radius)
+            if len(folder.angles) < options.take:
+                _visit(arm, camera, board, _left(places, folder, geometry), folder, options.take)
+    except (ArmError, CameraError) as error:
+        held = 0 if folder is None else len(folder.angles)
+        kept = f"; {options.views} contains {held} views; repeat the command to resume" if held else ""
+        raise CommandError(f"{error}{kept}", interrupts.failure, views=held) from error
     log_line(f"{options.views} contains {len(folder.angles)} views; the torque is off")
 
 
@@ -119,8 +124,6 @@ def _visit(
 
 
 def _still(before: Vector, after: Vector) -> bool:
-    from deltacharger_records.datasets.arm_client import STILL
-
     return float(np.abs(np.subtract(before, after)).max()) <= STILL
 
 
@@ -128,3 +131,83 @@ def _unseen(board: Board, image: np.ndarray) -> str:
     others = ", ".join(markers_in(image)[:5])
     hint = f"it shows {others}: give the right --board" if others else "is the board there, lit, and facing the camera?"
     return f"no image of {_BLIND} positions shows {board.name}; {hint}"
+
+
+_SAME_CLOCK = 10.0  # s between stamp and arrival; beyond it the camera has another clock
+_LATENCY = 0.5  # s; largest latency of an image of such a camera
+
+
+class CameraError(RuntimeError):
+    """No image from the camera; the message has the remedy."""
+
+
+class CameraClient(Guest):
+    """Subscribes to a colour image and its camera_info.
+
+    Args:
+        context: a running rclpy context.
+        topic: of the colour image, relative to the charger's namespace; camera_info is beside it.
+        namespace: of the charger.
+    """
+
+    def __init__(self, context: Context, topic: str, namespace: str = "") -> None:
+        super().__init__("camera_client", context, namespace)
+        self._topic = self.node.resolve_topic_name(topic)
+        self._info_topic = f"{self._topic.rpartition('/')[0]}/camera_info"
+        self._hint = slash_hint(self.node, topic)
+        self._lock = threading.Lock()
+        self._image: tuple[float, Image] | None = None
+        self._info: Any = None
+        self.node.create_subscription(Image, self._topic, self._on_image, qos.SENSOR)
+        self.node.create_subscription(CameraInfo, self._info_topic, self._on_info, qos.SENSOR)
+        self._clock = self.node.get_clock()
+        self.serve()
+
+    def intrinsics(self, timeout: float, check: Callable[[], None]) -> Intrinsics:
+        """Wait for camera_info and return it.
+
+        Args:
+            timeout: s.
+            check: called while waiting; may raise.
+
+        Raises:
+            CameraError: none arrives.
+            CameraInfoError: it cannot be used.
+        """
+        if not self.wait(lambda: self._info is not None, timeout, check):
+            raise CameraError(f"no {self._info_topic} received: start the camera in this ROS domain{self._hint}")
+        return intrinsics_of(self._info, self._info_topic)
+
+    def image(self, timeout: float, check: Callable[[], None]) -> NDArray[np.uint8]:
+        """Return an image (H, W, 3) RGB taken after this call; arguments as in `intrinsics`.
+
+        Raises:
+            CameraError: none arrives.
+            ImageError: its encoding is unknown.
+        """
+        since, asked = self._now(), time.monotonic()
+
+        def fresh() -> Image | None:
+            with self._lock:
+                latest = self._image
+            if latest is None:
+                return None
+            arrival, message = latest
+            stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+            if abs(stamp - since) > _SAME_CLOCK:
+                return message if arrival > asked + _LATENCY else None
+            return message if stamp >= since and arrival > asked else None
+
+        if not self.wait(lambda: fresh() is not None, timeout, check):
+            raise CameraError(f"no image received on {self._topic}: check the camera's node and its cable{self._hint}")
+        return rgb8(color_array(fresh()))
+
+    def _now(self) -> float:
+        return float(self._clock.now().nanoseconds) * 1e-9
+
+    def _on_image(self, message: Image) -> None:
+        with self._lock:
+            self._image = (time.monotonic(), message)
+
+    def _on_info(self, message: CameraInfo) -> None:
+        self._info = message

@@ -14,6 +14,7 @@ import dataclasses
 import time
 from typing import TYPE_CHECKING
 
+from deltacharger_bringup.cli.arguments import namespace_option, record_option, scene_option
 from deltacharger_bringup.cli.charger import (
     LOOK,
     only_charger,
@@ -24,8 +25,16 @@ from deltacharger_bringup.cli.charger import (
     start,
     wait_for_actions,
 )
-from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, Interrupts, answer, log_line
-from deltacharger_bringup.cli.parser import namespace_option, record_option, scene_option
+from deltacharger_bringup.cli.output import (
+    DONE,
+    FAILED,
+    WRONG_INPUT,
+    CommandError,
+    Interrupts,
+    Result,
+    answer,
+    log_line,
+)
 from deltacharger_core import environment, real_time
 
 if TYPE_CHECKING:
@@ -53,7 +62,7 @@ def add_up(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--model", default="", metavar="FILE", help="pose model (npz) of misalignment_node")
 
 
-def up(options: argparse.Namespace) -> int:
+def up(options: argparse.Namespace) -> Result:
     """Run a scene's charger until a signal."""
     if options.recording and options.scene is None:
         options.scene = "replay"
@@ -73,7 +82,7 @@ def up(options: argparse.Namespace) -> int:
             _print_ready(composition, options)
         while not interrupts.event.wait(0.5):
             raise_if_failed(composition)
-    return interrupts.exit_code(DONE)
+    return Result(code=interrupts.exit_code(DONE))
 
 
 def _alone(
@@ -117,10 +126,8 @@ def _print_nodes(composition: Composition) -> None:
 
 
 def _print_ready(composition: Composition, options: argparse.Namespace) -> None:
-    log_line("ready")
-    if options.json:
-        ready = {"ready": True, "scene": composition.scene.name, "domain": environment.domain()}
-        answer(options, {**ready, **composition.ports()})
+    ready = {"ready": True, "scene": composition.scene.name, "domain": environment.domain()}
+    answer(options, Result("", {**ready, **composition.ports()}, remarks=["ready"]))
 
 
 def _with_options(scene: Scene, options: argparse.Namespace) -> Scene:

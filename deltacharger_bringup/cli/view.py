@@ -17,21 +17,26 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_bringup.cli.arguments import (
+    DEFAULT_SCENE,
+    NOT_NEGATIVE,
+    file_to_read,
+    file_to_write,
+    namespace_option,
+    web_address,
+)
 from deltacharger_bringup.cli.charger import prepare, ros_context
-from deltacharger_bringup.cli.files import file_to_read, file_to_write
 from deltacharger_bringup.cli.output import (
     DONE,
     FAILED,
     WRONG_INPUT,
     CommandError,
     Interrupts,
+    Result,
     log_line,
-    write_json,
     wrong_input,
 )
-from deltacharger_bringup.cli.parser import DEFAULT_SCENE, namespace_option
 from deltacharger_bringup.cli.scene import load_for_command
-from deltacharger_bringup.cli.types import NOT_NEGATIVE, web_address
 from deltacharger_bringup.cli.web_viewer import WebAddress, WebViewer
 from deltacharger_core import environment
 from deltacharger_core.bounded_file import given_path
@@ -76,7 +81,7 @@ def add_view(parser: argparse.ArgumentParser) -> None:
     namespace_option(parser)
 
 
-def view(options: argparse.Namespace) -> int:
+def view(options: argparse.Namespace) -> Result:
     """Show a running charger until an interruption, or a recording."""
     rr = None if _is_animation(options) else _rerun()
     _check_places(options)
@@ -227,7 +232,7 @@ def mount_of(scene: Scene) -> NDArray[np.float64]:
         return (Mount.from_numbers(given["mount"]) if "mount" in given else Mount.default()).pose
 
 
-def _show_charger(rr: Any, options: argparse.Namespace) -> int:
+def _show_charger(rr: Any, options: argparse.Namespace) -> Result:
     scene = prepare(options, look_around=True)
     with Interrupts() as interrupts, ros_context() as context:
         from deltacharger_records.view.feed import COLOR_IMAGE, TOPICS
@@ -250,8 +255,7 @@ def _show_charger(rr: Any, options: argparse.Namespace) -> int:
         finally:
             listener.close()
             complete()
-    _report(options, feed, time.monotonic() - began, silent or ())
-    return interrupts.exit_code(DONE)
+    return _report(options, feed, time.monotonic() - began, interrupts, silent or ())
 
 
 def _report_silence(feed: ViewFeed, namespace: str) -> list[str]:
@@ -267,7 +271,7 @@ def _report_silence(feed: ViewFeed, namespace: str) -> list[str]:
     return silent
 
 
-def _show_recording(rr: Any, options: argparse.Namespace) -> int:
+def _show_recording(rr: Any, options: argparse.Namespace) -> Result:
     scene = load_for_command(options.scene or DEFAULT_SCENE)
     environment.prepare()
     from deltacharger_core.mcap_file import RecordingError
@@ -286,18 +290,18 @@ def _show_recording(rr: Any, options: argparse.Namespace) -> int:
                     interrupts.event.wait()
             finally:
                 complete()
-    _report(options, feed, time.monotonic() - began)
-    return interrupts.exit_code(DONE)
+    return _report(options, feed, time.monotonic() - began, interrupts)
 
 
-def _report(options: argparse.Namespace, feed: ViewFeed, took: float, silent: Sequence[str] = ()) -> None:
-    """Report what was shown."""
+def _report(
+    options: argparse.Namespace, feed: ViewFeed, took: float, interrupts: Interrupts, silent: Sequence[str] = ()
+) -> Result:
+    """Return what was shown."""
     counts = dict(sorted(feed.counts.items()))
     place = options.save or (options.web.page if options.web else options.connect)
-    if options.json:
-        result = {"success": True, "saved": options.save, "messages": counts, "silent": list(silent), "elapsed": took}
-        write_json(result)
-        return
-    log_line(f"{sum(counts.values())} messages of {len(counts)} topics in {took:.1f} s{f'; {place}' if place else ''}")
+    total = f"{sum(counts.values())} messages of {len(counts)} topics"
+    remarks = [f"{total} in {took:.1f} s{f'; {place}' if place else ''}"]
     if options.save is not None and not _is_animation(options):
-        log_line(f"open it with: rerun {options.save}")
+        remarks.append(f"open it with: rerun {options.save}")
+    details = {"success": True, "saved": options.save, "messages": counts, "silent": list(silent), "elapsed": took}
+    return Result("", details, interrupts.exit_code(DONE), remarks)

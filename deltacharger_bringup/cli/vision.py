@@ -4,28 +4,26 @@
 from __future__ import annotations
 
 import argparse
+import math
+import statistics
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
-from deltacharger_bringup.calibrate import vision_results
-from deltacharger_bringup.cli.files import file_to_write, folder_to_write
+from deltacharger_bringup.cli.arguments import between, file_to_write, folder_to_write
 from deltacharger_bringup.cli.output import (
     DONE,
     FAILED,
     WRONG_INPUT,
     CommandError,
+    Result,
     log_line,
-    print_result,
-    print_text,
-    write_json,
     wrong_input,
 )
-from deltacharger_bringup.cli.types import between
 from deltacharger_core import environment
 from deltacharger_core.mcap_file import RecordingError, recordings_in
 from deltacharger_vision.cameras.camera_info import load_camera_info
@@ -43,7 +41,8 @@ from deltacharger_vision.image_files import (
     write_picture,
 )
 from deltacharger_vision.images import RgbdImage
-from deltacharger_vision.mount import CAMERA_FRAME, Mount
+from deltacharger_vision.mount import CAMERA_FRAME, FRAME, Mount
+from deltacharger_vision.placed import Placed
 from deltacharger_vision.terminal import Terminal
 
 _ONE = ("depth", "picture")
@@ -105,7 +104,7 @@ class _Images:
     camera: Any
 
 
-def detect(options: argparse.Namespace) -> int:
+def detect(options: argparse.Namespace) -> Result:
     """Find the electrodes in one image or in many."""
     _check_usage(options)
     with wrong_input(VisionError, RecordingError):
@@ -136,10 +135,10 @@ class _Finder:
         """Return the detection in an image, and its JSON-ready fields."""
         started = time.perf_counter()
         found = self._detector.detect(image)
-        return found, vision_results.fields(found, self.mount, time.perf_counter() - started)
+        return found, _fields(found, self.mount, time.perf_counter() - started)
 
 
-def _one(options: argparse.Namespace, finder: _Finder) -> int:
+def _one(options: argparse.Namespace, finder: _Finder) -> Result:
     if options.camera_info is None:
         raise CommandError("--color needs --camera-info, the intrinsics of the image", WRONG_INPUT)
     picture = None if options.picture is None else file_to_write("--picture", options.picture)
@@ -155,12 +154,11 @@ def _one(options: argparse.Namespace, finder: _Finder) -> int:
     found, fields = finder.find(image)
     if picture is not None:
         write_picture(picture, annotated(image, found))
-    lines = ["no electrodes found"] if found is None else vision_results.lines(found, finder.mount)
-    print_result(options, "\n".join(lines), fields)
-    return FAILED if found is None else DONE
+    lines = ["no electrodes found"] if found is None else _lines(found, finder.mount)
+    return Result("\n".join(lines), fields, FAILED if found is None else DONE)
 
 
-def _many(options: argparse.Namespace, finder: _Finder) -> int:
+def _many(options: argparse.Namespace, finder: _Finder) -> Result:
     pictures = None if options.pictures is None else folder_to_write("--pictures", options.pictures)
     path = Path(options.path)
     source = _recorded(options, path) if recordings_in(path) else _stored(options, path)
@@ -186,21 +184,14 @@ def _many(options: argparse.Namespace, finder: _Finder) -> int:
     if not results:
         text = f"none of {source.count} images has a depth image of the same instant: record both with equal stamps"
         raise CommandError(f"{path}: {text}", WRONG_INPUT)
-    return _report_many(options, results, source.count)
+    return _report_many(results, source.count)
 
 
-def _report_many(options: argparse.Namespace, results: list[dict[str, Any]], count: int) -> int:
-    total = vision_results.summary(results, count)
-    if options.json:
-        write_json({"frame": CAMERA_FRAME, **total, "results": results})
-        log_line(vision_results.total_line(total))
-    else:
-        for each in results:
-            print_text(f"{each['name']}: {vision_results.short(each)}")
-        print_text(vision_results.total_line(total))
-    if total["found"]:
-        return DONE
-    return WRONG_INPUT if total["broken"] == total["images"] else FAILED
+def _report_many(results: list[dict[str, Any]], count: int) -> Result:
+    total = _summary(results, count)
+    lines = [*(f"{each['name']}: {_short(each)}" for each in results), _total_line(total)]
+    code = DONE if total["found"] else WRONG_INPUT if total["broken"] == total["images"] else FAILED
+    return Result("\n".join(lines), {"frame": CAMERA_FRAME, **total, "results": results}, code)
 
 
 def _stored(options: argparse.Namespace, folder: Path) -> _Images:
@@ -269,3 +260,85 @@ class _Progress:
 
 def _flag(name: str) -> str:
     return f"--{name.replace('_', '-')}"
+
+
+_PLACED = ("position", "roll", "normal", "covariance")
+_SEEN = (*_PLACED, "confidence", "range", "source")
+
+
+def _fields(found: Detection | None, mount: Mount | None, seconds: float) -> dict[str, Any]:
+    """Return the result of one image; NaN = unknown, None = absent.
+
+    Args:
+        found: None = no electrodes.
+        mount: adds the pose in charger_base.
+        seconds: run time of the detector.
+    """
+    result = {"found": found is not None, "frame": CAMERA_FRAME, **_named(found, _SEEN)}
+    if mount is not None:
+        result[FRAME] = _named(None if found is None else mount.place(found), _PLACED)
+    return {**result, "detection_time": seconds}
+
+
+def _named(found: Detection | Placed | None, names: Sequence[str]) -> dict[str, Any]:
+    values = {name: getattr(found, name, None) for name in names}
+    return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in values.items()}
+
+
+def _lines(found: Detection, mount: Mount | None) -> Iterator[str]:
+    """Yield a detection as lines for people."""
+    yield _pose(CAMERA_FRAME, found)
+    if mount is not None:
+        yield _pose(FRAME, mount.place(found))
+    source = "image and depth" if found.source == "both" else "the image alone"
+    yield f"range {1e3 * found.range:.1f} mm, confidence {found.confidence:.2f}, from {source}"
+
+
+def _pose(frame: str, found: Detection | Placed) -> str:
+    place = "  ".join(f"{axis} {1e3 * value:.2f}" for axis, value in zip("xyz", found.position, strict=True))
+    spread = np.sqrt(np.diag(found.covariance))
+    errors = " ".join(f"{1e3 * value:.2f}" for value in spread[:3])
+    return f"{frame}: {place} mm (± {errors}), roll {math.degrees(found.roll):.2f}° (± {math.degrees(spread[5]):.2f})"
+
+
+def _summary(results: Sequence[Mapping[str, Any]], expected: int) -> dict[str, Any]:
+    """Return the number of images with electrodes, and the run times.
+
+    Args:
+        results: of each image: `name`, and `_fields` or `error`.
+        expected: number of images; those left out have no depth of the same instant, or lie behind damage.
+    """
+    times = [each["detection_time"] for each in results if "error" not in each]
+    return {
+        "found": sum(bool(each.get("found")) for each in results),
+        "images": len(results),
+        "broken": len(results) - len(times),
+        "left_out": expected - len(results),
+        "detection_time": {
+            "median": statistics.median(times) if times else None,
+            "p95": float(np.percentile(times, 95.0)) if times else None,
+        },
+    }
+
+
+def _short(result: Mapping[str, Any]) -> str:
+    """Return a result as a line: the pose in charger_base if known, else in the camera's frame."""
+    if "error" in result:
+        return str(result["error"])
+    if not result["found"]:
+        return "no electrodes found"
+    x, y, z = (f"{1e3 * value:.1f}" for value in result.get(FRAME, result)["position"])
+    roll = math.degrees(result.get(FRAME, result)["roll"])
+    return f"x {x}  y {y}  z {z} mm, roll {roll:.2f}°, confidence {result['confidence']:.2f}"
+
+
+def _total_line(total: Mapping[str, Any]) -> str:
+    """Return the summary as a line."""
+    parts = [f"electrodes found in {total['found']} of {total['images']} images"]
+    if total["broken"]:
+        parts.append(f"{total['broken']} of them broken")
+    if total["left_out"]:
+        parts.append(f"{total['left_out']} more left out: no depth of the same instant, or behind damage")
+    if total["detection_time"]["median"] is not None:
+        parts.append(f"{1e3 * total['detection_time']['median']:.1f} ms per image")
+    return "; ".join(parts)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of a serial port: whether it exists, may be opened, is free (else who uses it) and is a serial port."""
+"""Checks of what is plugged in: serial ports (exist, open, are free) and the camera (USB, libraries, topics)."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import contextlib
 import grp
 import os
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 
 from deltacharger_bringup.doctor.findings import Finding, failed, hint, ok, wrong
@@ -108,3 +109,42 @@ def _commands() -> Iterator[str]:
     for process in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):  # it has ended
             yield (process / "comm").read_text(errors="replace")
+
+
+_MYRIAD = "03e7"
+"""USB vendor of the camera's processor, before and after boot."""
+_INSTEAD = "give the coordinates with `deltacharger dock --x-mm --y-mm --z-mm`, or the key 'goal' of the scene"
+
+
+def examine_camera(publishers: int | None, devices: Path = Path("/sys/bus/usb/devices")) -> Iterator[Finding]:
+    """Yield the findings for a camera. None is wrong, because coordinates can replace it.
+
+    Args:
+        publishers: of color/image_raw in the charger's ROS domain; None if unknown.
+        devices: the kernel's folder of USB devices.
+    """
+    if find_spec("cv2") is None:
+        remedy = "pip install 'deltacharger[vision]', or python3-opencv; without it " + _INSTEAD
+        yield hint("camera", "OpenCV, which electrode_detector_node needs, is not installed", remedy)
+    if find_spec("depthai") is None:
+        remedy = "pip install 'deltacharger[oak]' for camera_node with an OAK-D; other cameras do not need it"
+        yield hint("camera", "depthai, the library of OAK-D cameras, is not installed", remedy)
+    if _on_usb(devices):
+        yield ok("camera", "an OAK camera is on USB")
+    else:
+        yield hint("camera", "no OAK camera is on USB", "plug it in, if possible directly into USB 3")
+    if publishers:
+        yield ok("camera", f"{publishers} publisher{'s' if publishers > 1 else ''} of color/image_raw")
+    elif publishers is not None:
+        remedy = "start camera_node, or the camera's own driver; or " + _INSTEAD
+        yield hint("camera", "no publisher of color/image_raw", remedy)
+
+
+def _on_usb(devices: Path) -> bool:
+    for vendor in devices.glob("*/idVendor"):
+        try:
+            if vendor.read_text().strip() == _MYRIAD:
+                return True
+        except OSError:
+            continue
+    return False

@@ -49,7 +49,7 @@ def generate_paper(
     """Generate the paper's protocol on each rig: 600 dockings by angle and 500 by position.
 
     Angle set: 0, 1, … 5° × 100 dockings. Start positions vary over ±20 mm in 4 mm steps; a tenth of that is assumed to
-    remain. (`tactile record --protocol paper` records what vision and the arm really leave.)
+    remain. (The docked protocol records what they really leave.)
     Position set: 5 × 5 offsets × 20 dockings at zero angle.
 
     Args:

@@ -24,8 +24,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_bringup.calibrate.camera_views import ViewsFolder
-from deltacharger_bringup.calibrate.view_places import view_places
+from deltacharger_bringup.cli.camera_views import ViewsFolder, view_places
 from deltacharger_kinematics.calibration.data import TICK
 from deltacharger_kinematics.calibration.problem import COUNT, Uncertainty, numbers, with_numbers
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector

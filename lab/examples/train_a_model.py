@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """From simulated dockings to a saved model of the horizontal misalignment, evaluated on held-out dockings.
 
-Library calls for `deltacharger tactile generate`, `train --model lda --target horizontal` and `evaluate`. Prints the
-numbers of dockings for training and evaluation, the accuracies of the model and of always choosing the commonest class,
-and how often a prediction may be acted on. All data are simulated. Training needs deltacharger-lab[train];
+Library calls for `generate`, `train --model lda --target horizontal` and `evaluate` of `python -m
+deltacharger_lab.training`. Prints the numbers of dockings for training and evaluation, the accuracies of the model and
+of always choosing the commonest class, and how often a prediction may be acted on. All data are simulated. Training needs deltacharger-lab[train];
 the saved model needs only numpy.
 
     python lab/examples/train_a_model.py [model.npz]

@@ -329,10 +329,10 @@ def test_the_command_reports_differences(capsys: pytest.CaptureFixture[str], tmp
         with Store(tmp_path / name, settings(2, **kind)) as store:
             store.add(run_batch(store.settings.to_json(), range(2)))
     a, b, c = (str(tmp_path / name) for name in "abc")
-    code, found, _ = run(capsys, "compare", a, b)
+    code, found, _ = run(capsys, "--compare", a, b)
     assert (code, found["pairs"], found["differs"]) == (0, 2, ["exact: false → true"])
     assert found["rates"]["charged"]["difference"] == 0.0
     low, high = found["numbers"]["peak_push"]["interval"]
     assert low <= found["numbers"]["peak_push"]["difference"] <= high
-    code, found, _ = run(capsys, "compare", a, c)
+    code, found, _ = run(capsys, "--compare", a, c)
     assert (code, "pairs" in found["error"]) == (2, True)

@@ -15,6 +15,7 @@ import pytest
 
 from deltacharger_bringup.cli.main import main
 from deltacharger_lab.reports.report import Report, at_least, at_most, none
+from deltacharger_lab.training.__main__ import COMMANDS
 from test.bringup.command import refuses
 
 
@@ -43,24 +44,26 @@ def test_without_a_needed_library_the_error_names_what_to_install(
 # Command line, and a noun of what is said about it.
 REFUSED = {
     "report kinematics --quick --out /proc/report": "/proc/report",
-    "tactile generate --out /proc/data.npz": "/proc/data.npz",
-    "tactile generate --dockings 5 --out data.npz": "continuous",
-    "tactile evaluate --data none.npz --model none.npz": "none.npz",
-    "tactile train --data text.npz --model lda --target angle --out m.npz": "text.npz",
-    "tactile train --data text.npz --model lda --target pose --out m.npz": "--model pose",
+    "generate --out /proc/data.npz": "/proc/data.npz",
+    "generate --dockings 5 --out data.npz": "continuous",
+    "evaluate --data none.npz --model none.npz": "none.npz",
+    "train --data text.npz --model lda --target angle --out m.npz": "text.npz",
+    "train --data text.npz --model lda --target pose --out m.npz": "--model pose",
     "campaign": "--out",
     "campaign --out text.npz": "text.npz is a file",
     "campaign --out text.npz/no/where": "text.npz/no",
     "campaign --out new --scenes defualt": "'default'",
     "campaign --out new --scheduler tcp://127.0.0.1:9 --workers 2": "--workers",
-    "campaign compare new new": "_campaign.json",
-    "campaign compare new new --picture a.doc": ".svg",
+    "campaign --compare new new": "_campaign.json",
+    "campaign --compare new new --picture a.doc": ".svg",
+    "campaign --out new --picture a.png": "--compare",
     **{f"report kinematics --points {count}": "--points" for count in ("49", "100001", "1e3")},
     "report vision --images 1": "--images",
     "report tactile --seed -1": "--seed",
     "report footprint --repeats 0": "--repeats",
     "report footprint --scene bensch": "'bench'",
     **{f"report {subject} --seed 1": "--seed" for subject in ("footprint", "simulation")},
+    "report": "docking",
     "report simulation more": "more",
     "report docking --quik": "--quik",
     "report docking --only egde --out new": "egde",
@@ -77,7 +80,7 @@ def test_wrong_input_ends_with_2_and_a_noun(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "text.npz").write_text("no archive")
-    refuses(capsys, line, REFUSED[line])
+    refuses(capsys, line, REFUSED[line], commands=COMMANDS if line.split()[0] in COMMANDS else None)
     assert [path.name for path in tmp_path.iterdir()] == ["text.npz"], "nothing is written"
 
 

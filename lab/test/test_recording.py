@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger tactile record --protocol paper`: the paper's dockings by the real movements, in virtual time."""
+"""`generate --protocol docked`: the paper's dockings by the real movements, in virtual time."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from deltacharger_docking.codes import DockingError
 from deltacharger_driver.servos.mx64 import CURRENT_UNIT
 from deltacharger_lab.campaigns import recording
 from deltacharger_lab.campaigns.recording import Protocol, record_paper, record_part
-from deltacharger_lab.cli import tactile
+from deltacharger_lab.training import __main__ as training
 from deltacharger_sim.pads.generator import generate_continuous
 from deltacharger_tactile.classifiers.labels import TARGETS, examples
 from deltacharger_tactile.dataset import SUBSET_ANGLE, Dataset
@@ -114,23 +114,11 @@ def test_the_command_writes_the_data_set_or_names_the_failure(
             return written
         raise DockingError("angle 2°: a docking failed 3 times")
 
-    monkeypatch.setattr(tactile, "record_paper", record)
-    words = [
-        "tactile",
-        "generate",
-        "--protocol",
-        "docked",
-        "--first-rig",
-        "880",
-        "--seed",
-        "4",
-        "--rows",
-        "2",
-        "--json",
-    ]
-    assert main([*words, "--out", str(tmp_path / "data.npz")]) == DONE
+    monkeypatch.setattr(training, "record_paper", record)
+    words = ["generate", "--protocol", "docked", "--first-rig", "880", "--seed", "4", "--rows", "2", "--json"]
+    assert main([*words, "--out", str(tmp_path / "data.npz")], training.COMMANDS) == DONE
     assert asked == [Protocol(rig=880, seed=4, rows=2)]
     assert json.loads(capsys.readouterr().out)["n"] == len(written) == len(Dataset.load(tmp_path / "data.npz"))
-    assert main([*words, "--out", str(tmp_path / "none.npz")]) == FAILED
+    assert main([*words, "--out", str(tmp_path / "none.npz")], training.COMMANDS) == FAILED
     assert "failed 3 times" in capsys.readouterr().err
     assert not (tmp_path / "none.npz").exists()

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import yaml
 
-from deltacharger_bringup.calibrate.camera_views import VIEWS, ViewsError, ViewsFolder, read_rows
+from deltacharger_bringup.cli.camera_views import VIEWS, ViewsError, ViewsFolder, read_rows
 from deltacharger_vision.cameras.camera_info import load_camera_info
 from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.mount import Mount

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deltacharger_bringup.cli.measure import position_of
+from deltacharger_bringup.cli.calibrate_kinematics import position_of
 from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.calibration.data import Encoder, read_measurements
 from deltacharger_kinematics.calibration.plan import PlannedPose, write_plan

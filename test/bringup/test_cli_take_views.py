@@ -18,10 +18,9 @@ from rclpy.node import Node
 from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, Image
 
-from deltacharger_bringup.calibrate.camera_client import CameraClient, CameraError
-from deltacharger_bringup.calibrate.camera_views import ViewsFolder, read_rows
+from deltacharger_bringup.cli.camera_views import ViewsFolder, read_rows
 from deltacharger_bringup.cli.output import CommandError
-from deltacharger_bringup.cli.take_views import _visit
+from deltacharger_bringup.cli.take_views import CameraClient, CameraError, _visit
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_ros import qos
 from deltacharger_ros.executor import Spinner

@@ -25,7 +25,7 @@ cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)"
 
 Array = np.ndarray[Any, Any]
 KEYS = {
-    *("found", "frame", "position", "roll", "normal", "covariance", "confidence", "range", "source"),
+    *("success", "found", "frame", "position", "roll", "normal", "covariance", "confidence", "range", "source"),
     "detection_time",
 }
 

@@ -43,7 +43,7 @@ COLOR = "vision detect --color text.png"
 # Command line, and a noun of what is said about it.
 REFUSED = {
     "no-such-command": "no-such-command",
-    "scene": "explain",
+    "scene nowhere": "nowhere",
     "dock --x-mm left": "--x-mm",
     "dock --critical-angle-deg -1": "--critical-angle-deg",
     "dock --x-mm 1 --camera": "--camera",
@@ -149,21 +149,21 @@ def test_wrong_input_ends_with_2_and_a_noun(
 def test_a_refused_scene_names_file_and_key(capsys: Capture, kit: Path) -> None:
     found = refuses(capsys, "dock --scene {bad}", "seed", bad=kit / "bad.yaml")
     assert (found["key"], found["file"]) == ("simulation.sed", str(kit / "bad.yaml"))
-    code, checked = answer(capsys, "scene", "check", "simulated", kit / "goal.yaml")
+    code, checked = answer(capsys, "scene", "simulated", kit / "goal.yaml")
     assert (code, [each["ok"] for each in checked["scenes"]]) == (2, [True, False])
     assert checked["scenes"][1]["key"] == "goal.x"
 
 
-def test_scene_list_check_and_explain_print_one_object_each(capsys: Capture, tmp_path: Path) -> None:
-    assert {"simulated", "mocks", "bench"} <= {each["name"] for each in answer(capsys, "scene", "list")[1]["scenes"]}
-    assert answer(capsys, "scene", "check", "simulated")[1]["ok"] is True
+def test_scene_lists_checks_and_explains(capsys: Capture, tmp_path: Path) -> None:
+    assert {"simulated", "mocks", "bench"} <= {each["scene"] for each in answer(capsys, "scene")[1]["scenes"]}
     coarse = tmp_path / "coarse.yaml"
     coarse.write_text("simulation: {world: {step: 0.1}}")
-    code, found = answer(capsys, "scene", "check", coarse)
+    code, found = answer(capsys, "scene", coarse)
     assert (code, "step" in found["scenes"][0]["warnings"][0]) == (0, True), "an unvalidated world"
     stiffness = "simulation.world.servo.stiffness"
-    assert any(each["key"] == stiffness for each in answer(capsys, "scene", "explain", "simulated")[1]["keys"])
-    short, everything = (run(capsys, "scene", "explain", "simulated", *more)[1] for more in ((), ("--all",)))
+    (explained,) = answer(capsys, "scene", "simulated")[1]["scenes"]
+    assert (explained["ok"], any(each["key"] == stiffness for each in explained["keys"])) == (True, True)
+    short, everything = (run(capsys, "scene", "simulated", *more)[1] for more in ((), ("--all",)))
     assert "simulation.world.target.x = 0.004 m" in short
     assert stiffness not in short
     assert f"{stiffness} = 15 N·m/rad" in everything
@@ -178,7 +178,7 @@ def test_help_lists_every_command_and_version_is_one_line(capsys: Capture) -> No
     assert (code, out, "COMMAND" in err) == (2, "", True)
 
 
-@pytest.mark.parametrize("line", ["campaign -n 1", "report docking", "tactile train"])
+@pytest.mark.parametrize("line", ["campaign -n 1", "report docking"])
 def test_a_command_of_the_laboratory_says_how_to_get_it_where_that_is_missing(
     capsys: Capture, monkeypatch: pytest.MonkeyPatch, line: str
 ) -> None:
@@ -216,8 +216,8 @@ def test_a_full_disk_is_a_failed_job_and_an_unusable_path_is_wrong_input(
         number = getattr(errno, kind)
         raise OSError(number, os.strerror(number), "mount.yaml")
 
-    monkeypatch.setattr(scene, "list_scenes", fail)
-    refuses(capsys, "scene list", "mount.yaml", exit_code)
+    monkeypatch.setattr(scene, "scene", fail)
+    refuses(capsys, "scene", "mount.yaml", exit_code)
 
 
 @pytest.mark.parametrize(
@@ -292,9 +292,7 @@ def test_a_word_with_control_characters_is_refused(capsys: Capture, word: str, s
 
 
 @pytest.mark.parametrize(("word", "shown"), [("\udcff.yaml", "\\udcff.yaml"), ("caf\udce9", "caf\\udce9"), ("-", "-")])
-@pytest.mark.parametrize(
-    "command", ["replay", "vision detect", "scene check", "scene explain", "tactile evaluate --model m.npz --data"]
-)
+@pytest.mark.parametrize("command", ["replay", "vision detect", "scene", "calibrate tactile --out m.npz --data"])
 def test_a_name_that_is_not_utf8_is_reported(
     capsys: Capture, command: str, word: str, shown: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -329,7 +327,7 @@ def test_json_is_valid_in_every_encoding(monkeypatch: pytest.MonkeyPatch, tmp_pa
     assert json.loads(out.buffer.getvalue().decode(encoding))["folder"] == str(folder)  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize("words", [("scene", "list"), ("--help",), ("scene", "check", "--json")])
+@pytest.mark.parametrize("words", [("scene", "level"), ("--help",), ("scene", "level", "--json")])
 def test_a_lost_output_is_a_failed_job(
     capsys: Capture, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
 ) -> None:

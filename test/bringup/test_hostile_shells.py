@@ -24,7 +24,7 @@ ROOT = Path(__file__).resolve().parents[2]
 CLI = ("-m", "deltacharger_bringup.cli")
 # Arguments of Python, and their exit code in a normal shell.
 COMMAND_LINES: dict[str, tuple[tuple[str, ...], int]] = {
-    "list": ((*CLI, "scene", "list"), 0),
+    "list": ((*CLI, "scene", "level"), 0),
     "json": ((*CLI, "scene", "check", "--json"), 0),
     "help": ((*CLI, "--help"), 0),
     "version": ((*CLI, "--version"), 0),

@@ -51,7 +51,7 @@ def printed(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:
 
 
 def test_every_documented_use_has_a_scene(capsys: pytest.CaptureFixture[str]) -> None:
-    kinds = {each["name"]: each["kind"] for each in printed(capsys, "scene", "list")["scenes"]}
+    kinds = {each["scene"]: each["kind"] for each in printed(capsys, "scene")["scenes"]}
     assert KINDS.items() <= kinds.items()
 
 
@@ -62,11 +62,11 @@ def test_it_starts_only_installed_nodes(name: str) -> None:
         assert installed[node] == f"deltacharger_scenes.executables:{node}"
 
 
-def test_explain_says_what_a_scene_cannot_do_unless_another_node_does_it(capsys: pytest.CaptureFixture[str]) -> None:
-    assert printed(capsys, "scene", "explain", "tactile_lab")["lacks"]["docking_node"] == "no actions dock and undock"
+def test_a_scene_says_what_it_cannot_do_unless_another_node_does_it(capsys: pytest.CaptureFixture[str]) -> None:
+    assert printed(capsys, "scene", "tactile_lab")["scenes"][0]["lacks"]["docking_node"] == "no actions dock and undock"
     for scene, replaced in (("mocks", "servo_node"), ("replay", "tactile_node"), ("simulated", "servo_node")):
-        assert replaced not in printed(capsys, "scene", "explain", scene)["lacks"]
-    assert main(["scene", "explain", "tactile_lab"]) == 0
+        assert replaced not in printed(capsys, "scene", scene)["scenes"][0]["lacks"]
+    assert main(["scene", "tactile_lab"]) == 0
     assert "without servo_node: no arm moves" in capsys.readouterr().out
 
 

@@ -370,12 +370,12 @@ def test_nodes_follow_a_position_gain_and_take_measured_servos_from_their_file()
 def test_check_reports_contradictions_and_wrong_parameters(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text("{simulation: {}, parameters: {docking_node: {servo_stiffness: 6.0}}}", encoding="utf-8")
-    assert main(["scene", "check", str(path), "--json"]) == 0
+    assert main(["scene", str(path), "--json"]) == 0
     (report,) = json.loads(capsys.readouterr().out)["scenes"]
     (warning,) = report["warnings"]
     assert "docking_node.servo_stiffness: is 6.0, but simulation.world.servo.stiffness is 15.0" in warning
     path.write_text("{simulation: {}, parameters: {docking_node: {servo_stifness: 6.0}}}", encoding="utf-8")
-    assert main(["scene", "check", str(path), "--json"]) == 2
+    assert main(["scene", str(path), "--json"]) == 2
     (report,) = json.loads(capsys.readouterr().out)["scenes"]
     assert (report["ok"], report["key"]) == (False, "parameters.docking_node.servo_stifness")
 
@@ -396,7 +396,7 @@ def test_check_reports_nodes_with_a_different_servos_file(
     given = json.dumps({node: {"servos_file": file} for node, file in files.items()})
     path = tmp_path / "mine.yaml"
     path.write_text(f"{{{base}nodes: [servo_node, kinematics_node, docking_node], parameters: {given}}}")
-    assert main(["scene", "check", str(path), "--json"]) == 0
+    assert main(["scene", str(path), "--json"]) == 0
     (report,) = json.loads(capsys.readouterr().out)["scenes"]
     found = [each for each in report["warnings"] if "servos_file" in each]
     assert len(found) == len(warned)

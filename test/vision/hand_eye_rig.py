@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deltacharger_bringup.calibrate.camera_views import ViewsFolder
-from deltacharger_bringup.calibrate.view_places import view_places
+from deltacharger_bringup.cli.camera_views import ViewsFolder, view_places
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_vision.hand_eye.board import AprilTag, Board, Sighting

@@ -12,21 +12,18 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from deltacharger_bringup.cli.files import picture_to_write
+from deltacharger_bringup.cli.arguments import SEED, integer, picture_to_write
 from deltacharger_bringup.cli.output import (
-    DONE,
     FAILED,
     INTERRUPTED,
     WRONG_INPUT,
     CommandError,
     Interrupts,
+    Result,
     from_os_error,
     log_line,
-    print_result,
+    wrong_input,
 )
-from deltacharger_bringup.cli.parser import add_command
-from deltacharger_bringup.cli.scene import refusing_scenes
-from deltacharger_bringup.cli.types import SEED, integer
 from deltacharger_lab.campaigns.compare import compare_campaigns, describe
 from deltacharger_lab.campaigns.compare_picture import draw
 from deltacharger_lab.campaigns.runner import run_missing
@@ -34,6 +31,7 @@ from deltacharger_lab.campaigns.scene import load_campaign_scene
 from deltacharger_lab.campaigns.settings import CampaignError, CampaignRefused, CampaignSettings, scene_of, versions
 from deltacharger_lab.campaigns.store import Store, read_results
 from deltacharger_lab.campaigns.summary import COLUMNS, summarise
+from deltacharger_scenes.scene import SceneError
 
 _DEFAULT_COUNT = 100
 _BAR = 30  # characters
@@ -43,7 +41,7 @@ _DEFAULT_SCENES = "default"
 
 
 def add_campaign(parser: argparse.ArgumentParser) -> None:
-    """Add its options and the action `compare`."""
+    """Add the options of `campaign`."""
     number = "dockings (default: 100, or all that the campaign lists)"
     parser.add_argument("-n", type=integer(1, 10_000_000), metavar="N", help=number)
     parser.add_argument("--seed", type=SEED, default=1, metavar="S", help="random seed (1)")
@@ -54,16 +52,17 @@ def add_campaign(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scheduler", default="", metavar="tcp://…", help="Dask scheduler; its workers run dockings")
     parser.add_argument("--batch", type=integer(1, 10_000), default=0, metavar="N", help="dockings per write")
     parser.add_argument("--out", metavar="DIR", help="folder of Parquet files, created if missing")
-    actions = parser.add_subparsers(title="actions", metavar="ACTION")
-    compare_them = add_command(actions, "compare", "compare two campaigns of one seed, docking by docking")
-    compare_them.set_defaults(run=compare)
-    compare_them.add_argument("a", metavar="A", help="folder of the first campaign")
-    compare_them.add_argument("b", metavar="B", help="folder of the second campaign")
-    compare_them.add_argument("--picture", metavar="FILE", help="draw the differences")
+    text = "instead compare two campaigns of one seed, docking by docking"
+    parser.add_argument("--compare", nargs=2, metavar=("A", "B"), help=text)
+    parser.add_argument("--picture", metavar="FILE", help="draw the differences of --compare")
 
 
-def campaign(options: argparse.Namespace) -> int:
-    """Run the missing dockings of a campaign, and print how its dockings ended."""
+def campaign(options: argparse.Namespace) -> Result:
+    """Run the missing dockings of a campaign and return how its dockings ended, or compare two."""
+    if options.compare is not None:
+        return _compare(options)
+    if options.picture is not None:
+        raise CommandError("--picture needs --compare", WRONG_INPUT)
     folder, settings = _folder(options), _settings(options)
     if options.scheduler and options.workers:
         raise CommandError("--workers is for this computer; a scheduler has its own workers", WRONG_INPUT)
@@ -84,26 +83,22 @@ def campaign(options: argparse.Namespace) -> int:
         judged = ("broken",) if scene_of(settings.to_json())[1].hostile else ()
         results = read_results(folder, (*COLUMNS, *judged))
     summary = {**summarise(results), "complete": complete, "out": str(folder), "seed": settings.seed, "simulated": True}
-    if not complete:
-        log_line(
-            f"{folder}: {len(results['number'])} of {settings.n} dockings are written; repeat the command to resume"
-        )
-    print_result(options, _described(summary, settings), {"success": complete, **summary})
+    text = _described(summary, settings)
     if complete:
-        return DONE
-    return INTERRUPTED if interrupts.number == signal.SIGINT else FAILED
+        return Result(text, summary)
+    rest = f"{folder}: {len(results['number'])} of {settings.n} dockings are written; repeat the command to resume"
+    return Result(text, summary, INTERRUPTED if interrupts.number == signal.SIGINT else FAILED, [rest])
 
 
-def compare(options: argparse.Namespace) -> int:
+def _compare(options: argparse.Namespace) -> Result:
     """Compare two campaigns docking by docking, and draw the differences."""
     picture = picture_to_write(options.picture) if options.picture else None
     with campaign_errors():
-        found = compare_campaigns(Path(options.a), Path(options.b))
-    if picture is not None:
-        draw(found, picture)
-        log_line(f"{picture}: written")
-    print_result(options, describe(found), {**found, "picture": str(picture) if picture is not None else None})
-    return DONE
+        found = compare_campaigns(*map(Path, options.compare))
+    if picture is None:
+        return Result(describe(found), {**found, "picture": None})
+    draw(found, picture)
+    return Result(describe(found), {**found, "picture": str(picture)}, remarks=[f"{picture}: written"])
 
 
 @contextlib.contextmanager
@@ -173,7 +168,7 @@ def _folder(options: argparse.Namespace) -> Path:
 
 
 def _settings(options: argparse.Namespace) -> CampaignSettings:
-    with refusing_scenes():
+    with wrong_input(SceneError):
         scene = load_campaign_scene(options.scenes)
     count = options.n or len(scene.dockings) or _DEFAULT_COUNT
     if scene.dockings and count > len(scene.dockings):

@@ -9,91 +9,86 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from deltacharger_bringup.cli.files import folder_to_write
+from deltacharger_bringup.cli.arguments import SEED, folder_to_write, integer
 from deltacharger_bringup.cli.output import (
-    DONE,
     FAILED,
     INTERRUPTED,
+    WRONG_INPUT,
     CommandError,
     Interrupts,
+    Result,
     log_line,
-    print_text,
-    write_json,
     wrong_input,
 )
-from deltacharger_bringup.cli.types import SEED, integer
+
+_OF = {
+    "kinematics": ("error against run time of inverse and forward kinematics", "points seed"),
+    "tactile": ("compare classifiers of misalignment on simulated data", "seed"),
+    "vision": ("the electrode detector on simulated images", "images seed"),
+    "simulation": ("error against run time, stability and energy of the simulated mechanics", ""),
+    "docking": ("thousands of simulated dockings; repeat the command to resume", "n only seed workers"),
+    "footprint": ("processes, memory and CPU that each scene needs (Linux)", "repeats scene"),
+}
+"""What each report measures, and its own options."""
 
 
-def add_kinematics(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `report kinematics`."""
-    _add_common(parser, "report-kinematics", "fewer points and shorter timings")
-    points = "points per set, 50 to 100000 (default: 5000, with --quick 200)"
-    parser.add_argument("--points", type=integer(50, 100_000), metavar="N", help=points)
-    parser.add_argument("--seed", type=SEED, default=1, metavar="S", help="random seed of every set (default: 1)")
+def add_report(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `report`."""
+    about = "; ".join(f"{subject}: {text}" for subject, (text, _) in _OF.items())
+    parser.add_argument("subject", choices=_OF, metavar="SUBJECT", help=about)
+    parser.add_argument("--out", metavar="DIR", help="folder, created if missing (default: report-SUBJECT)")
+    parser.add_argument("--quick", action="store_true", help="a hundredth to a tenth of the work, for a preview")
+
+    def own(flag: str, text: str, **more: Any) -> None:
+        name = flag.rpartition("-")[2]
+        subjects = ", ".join(subject for subject, (_, options) in _OF.items() if name in options.split())
+        parser.add_argument(flag, help=f"{subjects}: {text}", **more)
+
+    own("--seed", "random seed (default: the report's)", type=SEED, metavar="S")
+    own("--points", "points per set (5000, with --quick 200)", type=integer(50, 100_000), metavar="N")
+    own("--images", "images per row (150, with --quick 15)", type=integer(2, 1000), metavar="N")
+    own("-n", "dockings of each campaign (as planned, 160 to 20000)", type=integer(1, 10_000_000), metavar="N")
+    own("--only", "run only this campaign; may be repeated", action="append", metavar="NAME")
+    own("--workers", "processes on this computer (1)", type=integer(1, 1024), metavar="K")
+    own("--scene", "measure this scene; may be repeated (every packaged one)", action="append", metavar="NAME|FILE")
+    own("--repeats", "runs of each scene and way of starting (3, with --quick 1)", type=integer(1, 100), metavar="N")
 
 
-def add_tactile(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `report tactile` and `tactile compare`."""
-    _add_common(parser, "report-tactile", "one rig and few models")
-    parser.add_argument("--seed", type=SEED, default=1, metavar="N", help="random seed of the dockings (1)")
+def report(options: argparse.Namespace) -> Result:
+    """Measure the subject and write its page."""
+    own = _OF[options.subject][1].split()
+    for name in sorted({name for _, names in _OF.values() for name in names.split()} - set(own)):
+        if getattr(options, name) is not None:
+            flag = f"-{name}" if len(name) == 1 else f"--{name}"
+            raise CommandError(f"{flag} is not an option of report {options.subject}", WRONG_INPUT)
+    options.out = options.out or f"report-{options.subject}"
+    if options.seed is None:
+        options.seed = {"kinematics": 1, "tactile": 1, "vision": 0}.get(options.subject)
+    write = {
+        "kinematics": _kinematics,
+        "tactile": _tactile,
+        "vision": _vision,
+        "simulation": _simulation,
+        "docking": _docking,
+        "footprint": _footprint,
+    }
+    return write[options.subject](options)
 
 
-def add_vision(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `report vision`."""
-    _add_common(parser, "report-vision", "a tenth of the images")
-    images = "images per row, 2 to 1000 (default: 150, with --quick 15); rows with targets have more"
-    parser.add_argument("--images", type=integer(2, 1000), metavar="N", help=images)
-    parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="shifts the seeds of all images (default: 0)")
-
-
-def add_simulation(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `report simulation`."""
-    _add_common(parser, "report-simulation", "few steps and stiffnesses")
-
-
-def add_docking(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `report docking`."""
-    _add_common(parser, "report-docking", "a hundredth of the dockings")
-    parser.add_argument(
-        "--only", action="append", default=[], metavar="NAME", help="run only this campaign; may be repeated"
-    )
-    count = "dockings of each campaign (default: as planned, 160 to 20000)"
-    parser.add_argument("-n", "--n", type=integer(1, 10_000_000), metavar="N", help=count)
-    parser.add_argument("--seed", type=SEED, metavar="S", help="random seed of all campaigns (default: the report's)")
-    parser.add_argument(
-        "--workers", type=integer(1, 1024), default=1, metavar="K", help="processes on this computer (1)"
-    )
-
-
-def add_footprint(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `report footprint`."""
-    _add_common(parser, "report-footprint", "once and shorter")
-    text = "measure this scene; may be repeated (default: every packaged scene)"
-    parser.add_argument("--scene", action="append", default=[], metavar="NAME|FILE", help=text)
-    repeats = "runs of each scene and way of starting, 1 to 100 (default: 3, with --quick 1)"
-    parser.add_argument("--repeats", type=integer(1, 100), metavar="N", help=repeats)
-
-
-def _add_common(parser: argparse.ArgumentParser, default: str, quick: str) -> None:
-    where = f"folder, created if missing (default: {default})"
-    parser.add_argument("--out", default=default, metavar="DIR", help=where)
-    parser.add_argument("--quick", action="store_true", help=f"{quick}, for a preview")
-
-
-def kinematics(options: argparse.Namespace) -> int:
+def _kinematics(options: argparse.Namespace) -> Result:
     """Write the report of the kinematics into a folder."""
     from deltacharger_lab.reports.kinematics import report
 
     count = options.points or (report.QUICK_POINTS if options.quick else report.DEFAULT_POINTS)
     plan = (report.quick_plan if options.quick else report.full_plan)(count, options.seed)
-    command = f"{_command(options, 'kinematics')} --points {count} --seed {plan.seed}"
+    command = f"{_command(options)} --points {count} --seed {plan.seed}"
     directory = folder_to_write("--out", options.out)
     results = report.build(plan, directory, command, log_line)
     _print_absent(results["absent"])
-    return _end(options, results, directory, "kinematics", ("seed", "points"))
+    return _end(options, results, directory, ("seed", "points"))
 
 
-def tactile(options: argparse.Namespace) -> int:
+def _tactile(options: argparse.Namespace) -> Result:
     """Write the comparison of the classifiers of misalignment, on simulated data, into a folder."""
     from deltacharger_lab.reports.tactile import plan as tactile_plan
     from deltacharger_lab.reports.tactile import report
@@ -103,11 +98,11 @@ def tactile(options: argparse.Namespace) -> int:
     if not plan.names:
         raise CommandError("no library for training is installed; install deltacharger-lab[train]", FAILED)
     directory = folder_to_write("--out", options.out)
-    results = report.build(plan, directory, f"{_command(options, 'tactile')} --seed {options.seed}", log_line)
-    return _end(options, results, directory, "tactile", ("simulated", "rigs", "seeds"), "simulated data:")
+    results = report.build(plan, directory, f"{_command(options)} --seed {options.seed}", log_line)
+    return _end(options, results, directory, ("simulated", "rigs", "seeds"), "simulated data:")
 
 
-def vision(options: argparse.Namespace) -> int:
+def _vision(options: argparse.Namespace) -> Result:
     """Write the report of the electrode detector on simulated images into a folder."""
     from deltacharger_lab.reports.vision import plan as vision_plan
     from deltacharger_lab.reports.vision import report
@@ -117,12 +112,12 @@ def vision(options: argparse.Namespace) -> int:
     if "opencv" in plan.absent:
         raise CommandError(f"OpenCV is absent: {plan.absent['opencv']}", FAILED)
     directory = folder_to_write("--out", options.out)
-    command = f"{_command(options, 'vision')} --images {plan.images} --seed {plan.seed}"
+    command = f"{_command(options)} --images {plan.images} --seed {plan.seed}"
     results = report.build(plan, directory, command, log_line)
-    return _end(options, results, directory, "vision", ("simulated", "seed", "images"), "simulated images:")
+    return _end(options, results, directory, ("simulated", "seed", "images"), "simulated images:")
 
 
-def simulation(options: argparse.Namespace) -> int:
+def _simulation(options: argparse.Namespace) -> Result:
     """Write the report of the simulated charger's mechanics into a folder."""
     from deltacharger_lab.reports.simulation import plan as simulation_plan
     from deltacharger_lab.reports.simulation import report, stability
@@ -130,20 +125,20 @@ def simulation(options: argparse.Namespace) -> int:
     plan = simulation_plan.QUICK if options.quick else simulation_plan.SimulationPlan()
     _print_absent(simulation_plan.absent())
     directory = folder_to_write("--out", options.out)
-    results = report.build(plan, directory, _command(options, "simulation"), log_line)
-    return _end(options, results, directory, "simulation", ("models", "quick"), also=(stability.MODULE,))
+    results = report.build(plan, directory, _command(options), log_line)
+    return _end(options, results, directory, ("models", "quick"), also=(stability.MODULE,))
 
 
-def docking(options: argparse.Namespace) -> int:
+def _docking(options: argparse.Namespace) -> Result:
     """Run or resume the campaigns of the docking report, and write it."""
     from deltacharger_lab.cli.campaign import CampaignProgress, campaign_errors
     from deltacharger_lab.reports.docking import plan as docking_plan
     from deltacharger_lab.reports.docking import report as docking_report
 
     with wrong_input(ValueError, before="--only: "):
-        plan = docking_plan.make_plan(options.quick, options.only, options.n, options.seed)
+        plan = docking_plan.make_plan(options.quick, options.only or [], options.n, options.seed)
     directory = folder_to_write("--out", options.out)
-    command = f"{_command(options, 'docking')} --seed {plan.seed}"
+    command = f"{_command(options)} --seed {plan.seed}"
 
     def progress(part: docking_plan.CampaignPart, total: int, begun: int) -> CampaignProgress:
         log_line(f"{part.name}: {part.about}")
@@ -151,28 +146,30 @@ def docking(options: argparse.Namespace) -> int:
 
     with campaign_errors():
         with Interrupts() as interrupts:
-            complete = docking_report.run(plan, directory, options.workers, progress, interrupts.event.is_set, log_line)
+            stop, workers = interrupts.event.is_set, options.workers or 1
+            complete = docking_report.run(plan, directory, workers, progress, stop, log_line)
         if not complete:
-            log_line(f"{directory}: interrupted; repeat the command to resume")
-            return INTERRUPTED if interrupts.number == signal.SIGINT else FAILED
+            code = INTERRUPTED if interrupts.number == signal.SIGINT else FAILED
+            raise CommandError(f"{directory}: interrupted; repeat the command to resume", code)
         results = docking_report.build(plan, directory, command, log_line)
     more = ("simulated", "seed", "quick", "not_run")
-    return _end(options, results, directory, "docking", more, "simulated dockings:")
+    return _end(options, results, directory, more, "simulated dockings:")
 
 
-def footprint(options: argparse.Namespace) -> int:
+def _footprint(options: argparse.Namespace) -> Result:
     """Write the report of the resources that each scene needs into a folder."""
     from deltacharger_bringup.cli.charger import require_domain, ros_context
-    from deltacharger_bringup.cli.scene import refusing_scenes
     from deltacharger_core import environment
     from deltacharger_lab.reports.footprint import plan as footprint_plan
     from deltacharger_lab.reports.footprint import process as footprint_process
+    from deltacharger_scenes.scene import SceneError
 
+    scenes = options.scene or []
     unsupported = footprint_process.unsupported()
     if unsupported:
         raise CommandError(unsupported, FAILED)
-    with refusing_scenes("--scene: "):
-        plan = footprint_plan.make_plan(options.scene, options.quick, options.repeats)
+    with wrong_input(SceneError, before="--scene: "):
+        plan = footprint_plan.make_plan(scenes, options.quick, options.repeats)
     for name, reason in plan.left_out.items():
         log_line(f"{name} is left out: {reason}")
     if not plan.scenes:
@@ -181,18 +178,18 @@ def footprint(options: argparse.Namespace) -> int:
     environment.prepare()
     require_domain()
     environment.isolate()
-    scenes = "".join(f" --scene {name}" for name in options.scene)
-    command = f"{_command(options, 'footprint', scenes)} --repeats {plan.repeats}"
+    words = "".join(f" --scene {name}" for name in scenes)
+    command = f"{_command(options, words)} --repeats {plan.repeats}"
     with ros_context() as context:
         from deltacharger_lab.reports.footprint import report as footprint_report
 
         results = footprint_report.build(plan, context, directory, command, log_line)
-    return _end(options, results, directory, "footprint", ("rows", "left_out", "quick", "repeats"))
+    return _end(options, results, directory, ("rows", "left_out", "quick", "repeats"))
 
 
-def _command(options: argparse.Namespace, subject: str, words: str = "") -> str:
+def _command(options: argparse.Namespace, words: str = "") -> str:
     """Return the command that writes the report again."""
-    return f"deltacharger report {subject}{words}{' --quick' if options.quick else ''}"
+    return f"deltacharger report {options.subject}{words}{' --quick' if options.quick else ''}"
 
 
 def _print_absent(absent: Mapping[str, str]) -> None:
@@ -204,26 +201,20 @@ def _end(
     options: argparse.Namespace,
     results: dict[str, Any],
     directory: Path,
-    subject: str,
     more: tuple[str, ...],
     of_what: str = "",
     also: tuple[str, ...] = (),
-) -> int:
-    """Print the written files, the main one first, and which targets are met."""
-    for name, reason in results["missing_pictures"].items():
-        log_line(f"no picture {name}: {reason}")
-    files = [path for kind in ("html", "md", "json") if (path := directory / f"{subject}.{kind}").exists()]
-    log_line(f"{files[0]}: written in {results['elapsed_s']:.0f} s")
-    if options.json:
-        written = [*map(str, files), *(str(directory / name) for name in (*also, *results["pictures"]))]
-        keys = ("targets", "absent", "missing_pictures", "elapsed_s", *more)
-        write_json({"success": True, "files": written, **{key: results[key] for key in keys}})
-        return DONE
-    if of_what:
-        print_text(of_what)
+) -> Result:
+    """Return the written files, the main one first, and which targets are met."""
+    remarks = [f"no picture {name}: {reason}" for name, reason in results["missing_pictures"].items()]
+    files = [path for kind in ("html", "md", "json") if (path := directory / f"{options.subject}.{kind}").exists()]
+    remarks.append(f"{files[0]}: written in {results['elapsed_s']:.0f} s")
+    written = [*map(str, files), *(str(directory / name) for name in (*also, *results["pictures"]))]
+    keys = ("targets", "absent", "missing_pictures", "elapsed_s", *more)
+    lines = [of_what] if of_what else []
     for target in results["targets"]:
         verdict = "not measured" if target["met"] is None else "met" if target["met"] else "NOT MET"
-        print_text(
+        lines.append(
             f"{target['name']:<52} {target['wanted']:>9}  {target['measured']:>10.3g} {target['unit']:<8} {verdict}"
         )
-    return DONE
+    return Result("\n".join(lines), {"files": written, **{key: results[key] for key in keys}}, remarks=remarks)

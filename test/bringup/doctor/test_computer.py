@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 
 from deltacharger_bringup.doctor import environment
-from deltacharger_bringup.doctor.camera import examine_camera
 from deltacharger_bringup.doctor.environment import RosProbe, examine_settings, examine_versions
 from deltacharger_bringup.doctor.findings import Finding, checked, ok
+from deltacharger_bringup.doctor.ports import examine_camera
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 
 from ...chargers import new_namespace

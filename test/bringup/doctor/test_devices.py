@@ -16,8 +16,7 @@ import serial
 from deltacharger_bringup.doctor import board as examiner
 from deltacharger_bringup.doctor.findings import Finding
 from deltacharger_bringup.doctor.ports import examine_port
-from deltacharger_bringup.doctor.servos import examine_servos
-from deltacharger_bringup.doctor.set_baud import set_baud
+from deltacharger_bringup.doctor.servos import examine_servos, set_baud
 from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.board.protocol import BoardFault
 from deltacharger_driver.emulators.bench_arm import BenchArm

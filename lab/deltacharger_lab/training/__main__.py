@@ -1,27 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger tactile`: data sets, training and evaluation of the classifiers."""
+"""Data sets, training and evaluation of the classifiers: python -m deltacharger_lab.training ACTION."""
 
 from __future__ import annotations
 
 import argparse
+import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from deltacharger_bringup.cli.files import file_to_read, file_to_write
+from deltacharger_bringup.cli.arguments import SEED, between, file_to_read, file_to_write, integer
+from deltacharger_bringup.cli.main import main
 from deltacharger_bringup.cli.output import (
-    DONE,
     WRONG_INPUT,
     CommandError,
+    Result,
     log_line,
-    print_result,
-    print_text,
-    write_json,
     wrong_input,
 )
-from deltacharger_bringup.cli.types import SEED, between, integer
 from deltacharger_core.machine import CONTACT_FORCE
 from deltacharger_docking.codes import DockingError
 from deltacharger_lab.campaigns.recording import Protocol, record_paper
@@ -32,7 +31,6 @@ from deltacharger_lab.training.pose import fit_dataset
 from deltacharger_lab.training.splits import by_docking
 from deltacharger_sim.pads.generator import generate_continuous, generate_paper
 from deltacharger_tactile import npz
-from deltacharger_tactile.classifiers import labels, packaged
 from deltacharger_tactile.classifiers.classifier import NAMES
 from deltacharger_tactile.classifiers.labels import examples
 from deltacharger_tactile.dataset import Dataset
@@ -40,13 +38,18 @@ from deltacharger_tactile.errors import TactileError
 from deltacharger_tactile.estimator import THRESHOLD
 
 _TRAINING_SHARE = 0.8  # share of the dockings for training; the rest calibrates when a prediction may be acted on
-_TIMED = 30  # predictions; their median time is printed
 
 TARGETS = ("angle", "vertical", "horizontal", "pose")
+COMMANDS = {
+    "generate": ("deltacharger_lab.training.__main__.generate", "write a simulated data set"),
+    "train": ("deltacharger_lab.training.__main__.train", "train a classifier, or the pose estimator"),
+    "evaluate": ("deltacharger_lab.training.__main__.evaluate", "evaluate a trained classifier"),
+}
+"""As those of `deltacharger`."""
 
 
 def add_generate(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `tactile generate`."""
+    """Add the options of `generate`."""
     text = "the paper's two sets, the same by docking's own movements in virtual time on one rig, or signed poses"
     parser.add_argument("--protocol", choices=("paper", "docked", "continuous"), default="paper", help=text)
     parser.add_argument("--rigs", type=integer(1, 1000), metavar="N", help="simulated rigs (5; docked 1)")
@@ -66,7 +69,7 @@ def add_generate(parser: argparse.ArgumentParser) -> None:
 
 
 def add_train(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `tactile train`."""
+    """Add the options of `train`."""
     parser.add_argument("--data", required=True, metavar="F.npz", help="data set of `generate`")
     parser.add_argument("--model", required=True, choices=NAMES, help="what to train")
     parser.add_argument("--target", required=True, choices=TARGETS, help="what it predicts")
@@ -78,12 +81,12 @@ def add_train(parser: argparse.ArgumentParser) -> None:
 
 
 def add_evaluate(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `tactile evaluate`."""
+    """Add the options of `evaluate`."""
     parser.add_argument("--data", required=True, metavar="F.npz", help="data set that was not used for training")
     parser.add_argument("--model", required=True, metavar="M.npz", help="model of `train`")
 
 
-def generate(options: argparse.Namespace) -> int:
+def generate(options: argparse.Namespace) -> Result:
     """Write a simulated data set."""
     out = file_to_write("--out", options.out, ".npz")
     count = options.rigs or (1 if options.protocol == "docked" else 5)
@@ -102,8 +105,7 @@ def generate(options: argparse.Namespace) -> int:
     data.save(out)
     summary = {"out": str(out), "n": len(data), "protocol": options.protocol, "digest": data.meta["digest"]}
     text = f"{out}: {len(data)} rows on {count} simulated rigs, parameters {data.meta['digest']}"
-    print_result(options, text, {"success": True, **summary})
-    return DONE
+    return Result(text, summary)
 
 
 def _docked(options: argparse.Namespace, protocol: Protocol) -> Dataset:
@@ -115,7 +117,7 @@ def _docked(options: argparse.Namespace, protocol: Protocol) -> Dataset:
         raise CommandError(str(error), code=int(error.code)) from error
 
 
-def train(options: argparse.Namespace) -> int:
+def train(options: argparse.Namespace) -> Result:
     """Train a classifier, or the pose estimator, on a data set."""
     if options.target == "pose" and options.model != "pose":
         raise CommandError(f"--model {options.model} predicts classes; give --model pose", WRONG_INPUT)
@@ -124,8 +126,7 @@ def train(options: argparse.Namespace) -> int:
         result = _train_pose(options, data, out) if options.target == "pose" else _train_class(options, data, out)
     summary = {"out": str(out), "model": options.model, "target": options.target, **result}
     text = f"{out}: {options.model} for {options.target}, trained on {result['n']} rows in {result['fit_time']:.2f} s"
-    print_result(options, text, {"success": True, **summary})
-    return DONE
+    return Result(text, summary)
 
 
 def _train_class(options: argparse.Namespace, data: Dataset, out: Path) -> dict[str, Any]:
@@ -151,7 +152,7 @@ def _train_pose(options: argparse.Namespace, data: Dataset, out: Path) -> dict[s
     return {"n": len(data), "fit_time": time.perf_counter() - started}
 
 
-def evaluate(options: argparse.Namespace) -> int:
+def evaluate(options: argparse.Namespace) -> Result:
     """Evaluate a trained classifier or pose estimator on a data set."""
     data = _load(options.data)
     file_to_read("--model", options.model)
@@ -169,58 +170,22 @@ def evaluate(options: argparse.Namespace) -> int:
             f"warning: {options.model} was trained on {options.data}: the figures are too optimistic; evaluate it on "
             "other data"
         )
-    if options.json:
-        write_json(found)
-        return DONE
-    what = "simulated" if data.simulated else "recorded"
-    print_text(f"{name} on {found['n']} {what} rows")
-    for part in [found[axis] for axis in AXES] if found["target"] == "pose" else [found]:
-        _print_result(part)
-    return DONE
+    parts = [found[axis] for axis in AXES] if found["target"] == "pose" else [found]
+    head = f"{name} on {found['n']} {'simulated' if data.simulated else 'recorded'} rows"
+    return Result("\n".join([head, *(line for part in parts for line in _lines(part))]), found)
 
 
-def _print_result(found: dict[str, Any]) -> None:
+def _lines(found: dict[str, Any]) -> Iterator[str]:
+    """Yield the result of one target."""
     unit, scale = ("°", 57.29577951308232) if found["target"] == "angle" else ("mm", 1e3)
-    print_text(f"{found['target']}")
-    print_text(f"  accuracy                {100 * found['accuracy']:.1f} %")
-    print_text(f"  mean absolute error     {scale * found['mean_absolute_error']:.2f} {unit}")
-    print_text(f"  sets with true class    {100 * found['coverage']:.1f} % (nominal {100 * found['nominal']:.0f} %)")
-    print_text(f"  sure enough to act on   {100 * found['act_rate']:.1f} %")
-    print_text(f"  unlike training data    {100 * found['drift_rate']:.1f} %")
+    yield f"{found['target']}"
+    yield f"  accuracy                {100 * found['accuracy']:.1f} %"
+    yield f"  mean absolute error     {scale * found['mean_absolute_error']:.2f} {unit}"
+    yield f"  sets with true class    {100 * found['coverage']:.1f} % (nominal {100 * found['nominal']:.0f} %)"
+    yield f"  sure enough to act on   {100 * found['act_rate']:.1f} %"
+    yield f"  unlike training data    {100 * found['drift_rate']:.1f} %"
     if found.get("drifted_together", 0.0) > 0.0:
-        print_text("  taken together, the rows are unlike the training data: calibrate or train again")
-
-
-def models(options: argparse.Namespace) -> int:
-    """List the packaged models: target, accuracy, size and time of one prediction on this computer."""
-    with wrong_input(TactileError):
-        rows = [_model_row(name, target) for name in packaged.MODELS for target in labels.TARGETS]
-    if options.json:
-        write_json({"success": True, "models": rows})
-        return DONE
-    print_text(
-        f"{'model':<10}{'target':<12}{'accuracy, %':>12}{'kB':>7}{'ms':>8}   on simulated rigs not used for training"
-    )
-    for row in rows:
-        percent, size, time_ms = 100.0 * row["accuracy"], 1e-3 * row["size_bytes"], 1e3 * row["time_s"]
-        print_text(f"{row['name']:<10}{row['target']:<12}{percent:>12.1f}{size:>7.0f}{time_ms:>8.3f}")
-    return DONE
-
-
-def _model_row(name: str, target: str) -> dict[str, Any]:
-    model, frame = packaged.load(name)[target], np.ones((1, 2, 10, 10))
-    times = []
-    for _ in range(_TIMED):
-        began = time.perf_counter()
-        model.predict_proba(frame)
-        times.append(time.perf_counter() - began)
-    return {
-        "name": name,
-        "target": target,
-        "accuracy": model.about[packaged.ACCURACY],
-        "size_bytes": packaged.path(name, target).stat().st_size,
-        "time_s": float(np.median(times)),
-    }
+        yield "  taken together, the rows are unlike the training data: calibrate or train again"
 
 
 def _load(name: str, flag: str = "--data") -> Dataset:
@@ -240,3 +205,7 @@ class _Progress:
         if tenth != self._tenth:
             self._tenth = tenth
             log_line(f"{100 * share:3.0f} %  {text}")
+
+
+if __name__ == "__main__":
+    sys.exit(main(None, COMMANDS, "python -m deltacharger_lab.training"))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A folder of views for `deltacharger calibrate camera`: images, the platform's position at each, the intrinsics.
+"""Views for `deltacharger calibrate camera`: where to take them, and a folder of them.
 
     FOLDER/views.csv          one row per image, in the order of recording
     FOLDER/camera_info.yaml   as written by camera_calibration
@@ -12,7 +12,7 @@ angle_0_deg,… (as servo_node reports them). Lines that start with # are commen
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,8 @@ from deltacharger_vision.hand_eye.board import Board
 from deltacharger_vision.hand_eye.views import View
 from deltacharger_vision.image_files import CAMERA_INFO, PICTURES, read_color, write_picture
 from deltacharger_vision.images import Intrinsics, rgb8
+from deltacharger_vision.mount import Mount
+from deltacharger_vision.projection import project
 
 VIEWS = "views.csv"
 MOST = 2000
@@ -236,3 +238,45 @@ def _pixels(path: Path, intrinsics: Intrinsics) -> NDArray[np.uint8]:
             "give images and --camera-info of one size",
         )
     return pixels
+
+
+_INSET = 0.95  # of the workspace; a real arm reaches some millimetres less than its model
+_SPARE = 1.1  # of the board's half diagonal that must be in the image
+_NEAREST = 0.03  # m before the camera
+_TRIED = 4096
+
+
+def view_places(
+    geometry: DeltaGeometry, farthest: float, mount: Mount, intrinsics: Intrinsics, offset: Vector, radius: float
+) -> Iterator[Vector]:
+    """Yield positions (m, charger_base) that the camera sees: a Halton sequence in the workspace box.
+
+    Each prefix fills the box evenly, so position does not correlate with time.
+
+    Args:
+        geometry: gives the workspace box.
+        farthest: largest z, m.
+        mount: believed pose of the camera.
+        intrinsics: of the camera.
+        offset: origin of the board in end_effector, m.
+        radius: half the board's diagonal, m.
+    """
+    from scipy.stats import qmc
+
+    low, high = np.array(geometry.workspace_min), np.array(geometry.workspace_max)
+    high[2] = min(high[2], farthest)
+    middle, reach = (low + high) / 2, _INSET * (high - low) / 2
+    points = middle + reach * (2.0 * qmc.Halton(3, scramble=False).random(_TRIED) - 1.0)
+    for point in points[_visible(points + offset, mount, intrinsics, _SPARE * radius)]:
+        yield float(point[0]), float(point[1]), float(point[2])
+
+
+def _visible(centres: NDArray[np.float64], mount: Mount, intrinsics: Intrinsics, radius: float) -> NDArray[np.bool_]:
+    """Return which spheres of `radius` m around `centres` (N, 3) are in the image."""
+    turn, place = mount.pose[:3, :3], mount.pose[:3, 3]
+    camera = (centres - place) @ turn
+    before = camera[:, 2] > _NEAREST + radius
+    pixels = project(np.where(before[:, None], camera, (0.0, 0.0, 1.0)), intrinsics)
+    margin = radius * np.array([intrinsics.fx, intrinsics.fy]) / np.maximum(camera[:, 2:], _NEAREST)
+    inside = (pixels > margin) & (pixels < np.array([intrinsics.width, intrinsics.height]) - margin)
+    return np.asarray(before & inside.all(axis=1))
