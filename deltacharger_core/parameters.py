@@ -130,9 +130,9 @@ def pose(default: tuple[float, ...], text: str) -> Any:
     return numbers(default, -ON_ROBOT, ON_ROBOT, "m", f"{text}: x, y, z in {{unit}}, then the quaternion x, y, z, w")
 
 
-def flag(default: bool, text: str, tunable: bool = False) -> Any:
+def flag(default: bool, text: str) -> Any:
     """Declare a boolean."""
-    return _declared(bool, default, text, tunable=tunable)
+    return _declared(bool, default, text)
 
 
 def words(default: str | tuple[str, ...], text: str, tunable: bool = False) -> Any:

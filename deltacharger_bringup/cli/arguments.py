@@ -14,7 +14,16 @@ from pathlib import Path
 from typing import Any, NoReturn
 from urllib.parse import urlsplit
 
-from deltacharger_bringup.cli.output import FAILED, WRONG_INPUT, CommandError, Result, is_wrong_path, print_text, show
+from deltacharger_bringup.cli.output import (
+    FAILED,
+    WRONG_INPUT,
+    CommandError,
+    Result,
+    WrongInput,
+    is_wrong_path,
+    print_text,
+    show,
+)
 from deltacharger_bringup.cli.web_viewer import WebAddress
 from deltacharger_core import streams
 from deltacharger_core.units import ON_ROBOT
@@ -176,7 +185,7 @@ _PICTURES = (".png", ".pdf", ".svg", ".jpg", ".jpeg")
 def file_to_read(flag: str, name: str) -> Path:
     """Return an existing path, which its reader checks; CommandError with exit code 2 if there is none."""
     if not Path(name).exists():
-        raise CommandError(f"{flag} {name}: there is no such file", WRONG_INPUT)
+        raise WrongInput(f"{flag} {name}: there is no such file")
     return Path(name)
 
 
@@ -194,22 +203,22 @@ def file_to_write(flag: str, name: str, kind: str = "", overwrite: bool = True) 
     """
     path = Path(name)
     if kind and path.suffix != kind:
-        raise CommandError(f"{flag} '{name}': the name must end in {kind}", WRONG_INPUT, file=name)
+        raise WrongInput(f"{flag} '{name}': the name must end in {kind}", file=name)
     if not path.parent.is_dir():
         problem = f"{flag} {name}: the folder {path.parent} does not exist; create it"
-        raise CommandError(problem, WRONG_INPUT, file=name)
+        raise WrongInput(problem, file=name)
     if path.is_dir() or not (os.access(path, os.W_OK) if path.exists() else _takes_files(path.parent)):
-        raise CommandError(f"{flag} {name}: cannot be written; give another file", WRONG_INPUT, file=name)
+        raise WrongInput(f"{flag} {name}: cannot be written; give another file", file=name)
     if path.exists() and not overwrite:
         problem = f"{path} exists: choose another name, or overwrite it with --force"
-        raise CommandError(problem, WRONG_INPUT, file=name)
+        raise WrongInput(problem, file=name)
     return path
 
 
 def picture_to_write(name: str) -> Path:
     """Return the path of `--picture`, with a suffix that matplotlib supports; errors as in `file_to_write`."""
     if Path(name).suffix.lower() not in _PICTURES:
-        raise CommandError(f"--picture '{name}': the name must end in {', '.join(_PICTURES)}", WRONG_INPUT, file=name)
+        raise WrongInput(f"--picture '{name}': the name must end in {', '.join(_PICTURES)}", file=name)
     return file_to_write("--picture", name)
 
 
@@ -222,7 +231,7 @@ def folder_to_write(flag: str, name: str) -> Path:
         code = WRONG_INPUT if is_wrong_path(error) else FAILED
         raise CommandError(f"{flag} {name}: cannot be a folder ({error.strerror}); give another", code) from error
     if not _takes_files(folder):
-        raise CommandError(f"{flag} {name}: the folder is not writable; give another one", WRONG_INPUT)
+        raise WrongInput(f"{flag} {name}: the folder is not writable; give another one")
     return folder
 
 

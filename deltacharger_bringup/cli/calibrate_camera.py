@@ -16,7 +16,7 @@ from deltacharger_bringup.cli.arguments import between, file_to_write, integer, 
 from deltacharger_bringup.cli.calibrate_kinematics import geometry_of
 from deltacharger_bringup.cli.camera_views import VIEWS, SeenViews, ViewsError, gather, read_pixels, read_rows
 from deltacharger_bringup.cli.charger import prepare, ros_context
-from deltacharger_bringup.cli.output import FAILED, WRONG_INPUT, CommandError, Interrupts, Result, conclude, wrong_input
+from deltacharger_bringup.cli.output import CommandError, Interrupts, Result, WrongInput, conclude, wrong_input
 from deltacharger_core.bounded_file import sha256
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.parameters import ParameterError
@@ -61,41 +61,39 @@ class _Judged:
 
 def add_camera(parser: argparse.ArgumentParser) -> None:
     """Add the options of `calibrate camera`."""
-    parser.add_argument("--views", metavar="FOLDER", help="images and views.csv, see docs/camera-calibration.md")
-    parser.add_argument("--print", metavar="FILE.svg", help="only draw the board at true size, for a printer")
-    parser.add_argument("--out", metavar="FILE", help="write the mount, for the parameter mount_file")
-    parser.add_argument("--camera-info", metavar="K.yaml", help="intrinsics (FOLDER/camera_info.yaml)")
-    parser.add_argument("--geometry", metavar="FILE", help="calibrated geometry of the arm (default: the built-in one)")
+    add = parser.add_argument
+    add("--views", metavar="FOLDER", help="images and views.csv, see docs/camera-calibration.md")
+    add("--print", metavar="FILE.svg", help="only draw the board at true size, for a printer")
+    add("--out", metavar="FILE", help="write the mount, for the parameter mount_file")
+    add("--camera-info", metavar="K.yaml", help="intrinsics (FOLDER/camera_info.yaml)")
+    add("--geometry", metavar="FILE", help="calibrated geometry of the arm (default: the built-in one)")
     text = "believed mount, for comparison and for the choice of positions (default: nominal)"
-    parser.add_argument("--mount", metavar="FILE", help=text)
-    parser.add_argument("--force", action="store_true", help="overwrite FILE, and write a doubtful mount")
-    board = parser.add_argument_group("the board on the platform")
+    add("--mount", metavar="FILE", help=text)
+    add("--force", action="store_true", help="overwrite FILE, and write a doubtful mount")
+    text = "every Nth image judges a fit to the others (5)"
+    add("--held-out-every", type=integer(2, 1000), default=5, metavar="N", help=text)
+    add = parser.add_argument_group("the board on the platform").add_argument
     text = "apriltag:FAMILY:NUMBER or charuco:DICTIONARY:COLUMNSxROWS (apriltag:36h11:0)"
-    board.add_argument("--board", default="apriltag:36h11:0", metavar="NAME", help=text)
+    add("--board", default="apriltag:36h11:0", metavar="NAME", help=text)
     text = "side of the tag's black square, or of a chessboard square (40)"
-    board.add_argument("--size-mm", type=between(2.0, 1000.0), default=40.0, metavar="MM", help=text)
+    add("--size-mm", type=between(2.0, 1000.0), default=40.0, metavar="MM", help=text)
     text = "side of a marker on a ChArUco board (three quarters of a square)"
-    board.add_argument("--marker-mm", type=between(1.0, 1000.0), metavar="MM", help=text)
+    add("--marker-mm", type=between(1.0, 1000.0), metavar="MM", help=text)
     for axis in "xyz":
         text = f"measured position of its centre along {axis} of end_effector"
-        board.add_argument(f"--board-{axis}-mm", type=between(-500.0, 500.0), metavar="MM", help=text)
-    known = parser.add_argument_group("prior knowledge, as standard deviations")
+        add(f"--board-{axis}-mm", type=between(-500.0, 500.0), metavar="MM", help=text)
+    add = parser.add_argument_group("prior knowledge, as standard deviations").add_argument
     text = "of the board's measured centre, each direction (0.5)"
-    known.add_argument("--board-stddev-mm", type=between(0.0, 50.0), default=0.5, metavar="MM", help=text)
+    add("--board-stddev-mm", type=between(0.0, 50.0), default=0.5, metavar="MM", help=text)
     text = "of the constant error of each arm angle (0.1)"
-    known.add_argument("--joint-stddev-deg", type=between(0.0, 10.0), default=0.1, metavar="DEG", help=text)
+    add("--joint-stddev-deg", type=between(0.0, 10.0), default=0.1, metavar="DEG", help=text)
     text = "scatter of the platform's position, corrected by the images (0.1)"
-    known.add_argument("--arm-stddev-mm", type=between(0.001, 50.0), default=0.1, metavar="MM", help=text)
-    text = "every Nth image judges a fit to the others (5)"
-    parser.add_argument("--held-out-every", type=integer(2, 1000), default=5, metavar="N", help=text)
-    live = parser.add_argument_group("with a running charger")
-    live.add_argument(
-        "--take", type=integer(5, 500), metavar="N", help="first fill FOLDER up to N views; 20 are enough"
-    )
-    text = "largest z of the platform (60)"
-    live.add_argument("--z-max-mm", type=between(5.0, 110.0), default=60.0, metavar="MM", help=text)
+    add("--arm-stddev-mm", type=between(0.001, 50.0), default=0.1, metavar="MM", help=text)
+    add = parser.add_argument_group("with a running charger").add_argument
+    add("--take", type=integer(5, 500), metavar="N", help="first fill FOLDER up to N views; 20 are enough")
+    add("--z-max-mm", type=between(5.0, 110.0), default=60.0, metavar="MM", help="largest z of the platform (60)")
     text = "of the camera, with camera_info beside it (color/image_raw)"
-    live.add_argument("--color-topic", default="color/image_raw", metavar="NAME", help=text)
+    add("--color-topic", default="color/image_raw", metavar="NAME", help=text)
     namespace_option(parser)
 
 
@@ -114,7 +112,7 @@ def camera(options: argparse.Namespace) -> Result:
         if options.print is not None:
             return _print(options, board)
         if options.views is None:
-            raise CommandError("give --views FOLDER, or --print FILE.svg for a board", WRONG_INPUT)
+            raise WrongInput("give --views FOLDER, or --print FILE.svg for a board")
         offset, geometry = _offset(options), geometry_of(options.geometry)
         if options.take is not None:
             prepare(options, look_around=True)
@@ -134,7 +132,7 @@ def camera(options: argparse.Namespace) -> Result:
 def _print(options: argparse.Namespace, board: Board) -> Result:
     """Draw the board."""
     if Path(options.print).suffix.lower() != ".svg":
-        raise CommandError(f"--print {options.print}: give a name that ends in .svg", WRONG_INPUT)
+        raise WrongInput(f"--print {options.print}: give a name that ends in .svg")
     Path(options.print).write_text(board_svg(board), encoding="utf-8")
     width, height = (length / MILLIMETRE for length in board.pattern)
     how = f"print it at 100 % (no 'fit to page') on matte paper; the pattern must measure {width:g} × {height:g} mm"
@@ -146,10 +144,9 @@ def _offset(options: argparse.Namespace) -> Vector:
     values = {axis: getattr(options, f"board_{axis}_mm") for axis in "xyz"}
     missing = [f"--board-{axis}-mm" for axis, value in values.items() if value is None]
     if missing:
-        raise CommandError(
+        raise WrongInput(
             f"give {', '.join(missing)}: the position of the board's centre in end_effector, measured with a ruler; "
-            "images do not show it, because the platform never turns",
-            WRONG_INPUT,
+            "images do not show it, because the platform never turns"
         )
     x, y, z = (MILLIMETRE * float(value) for value in values.values())
     return x, y, z
@@ -160,11 +157,11 @@ def _judge(options: argparse.Namespace, board: Board, offset: Vector, geometry: 
     rows = read_rows(folder)
     info = folder / CAMERA_INFO if options.camera_info is None else Path(options.camera_info)
     if not info.is_file():
-        raise CommandError(f"{info}: there is no such file; put it there, or give --camera-info", WRONG_INPUT)
+        raise WrongInput(f"{info}: there is no such file; put it there, or give --camera-info")
     intrinsics = load_camera_info(info)
     seen = gather(folder, rows, board, intrinsics, geometry)
     if not seen.views:
-        raise CommandError(_unseen(folder, board, [row.image for row in rows]), FAILED, views=len(rows))
+        raise CommandError(_unseen(folder, board, [row.image for row in rows]), views=len(rows))
     beliefs = Beliefs(
         offset,
         offset_stddev=options.board_stddev_mm * MILLIMETRE,

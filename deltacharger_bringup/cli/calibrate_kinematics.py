@@ -22,10 +22,10 @@ from deltacharger_bringup.cli.charger import DISCOVERY, prepare, ros_context
 from deltacharger_bringup.cli.output import (
     DONE,
     FAILED,
-    WRONG_INPUT,
     CommandError,
     Interrupts,
     Result,
+    WrongInput,
     conclude,
     log_line,
     wrong_input,
@@ -79,33 +79,25 @@ _SUSPICIOUS = 3.0  # tolerances; a well-built arm hardly ever differs more
 
 def add_kinematics(parser: argparse.ArgumentParser) -> None:
     """Add the options of `calibrate kinematics`."""
-    parser.add_argument("data", nargs="?", metavar="DATA.csv", help="measured poses, see docs/calibration.md")
-    parser.add_argument("--out", metavar="FILE", help="write the fitted geometry, for the parameter geometry_file")
-    parser.add_argument("--nominal", metavar="FILE", help="geometry to start from (default: the built-in one)")
-    parser.add_argument("--plan", metavar="FILE", help="write the poses to measure; with --measure, read them")
-    parser.add_argument("--measure", metavar="FILE", help="move to the poses of --plan, ask for and record positions")
-    parser.add_argument("--force", action="store_true", help="overwrite files, and write a doubtful geometry")
-    known = parser.add_argument_group("prior knowledge, as standard deviations")
-    known.add_argument(
-        "--measurement-mm", type=between(1e-6, 10.0), default=0.05, metavar="MM", help="of a coordinate (0.05)"
-    )
-    known.add_argument("--tolerance-mm", type=between(1e-6, 20.0), default=0.5, metavar="MM", help="of lengths (0.5)")
-    known.add_argument("--tolerance-deg", type=between(1e-6, 30.0), default=1.0, metavar="DEG", help="of angles (1)")
-    judged = parser.add_argument_group("held-out rows, if the file has no column held_out")
-    judged.add_argument(
-        "--held-out", type=between(0.01, 0.9), default=0.25, metavar="SHARE", help="share of the rows (0.25)"
-    )
-    judged.add_argument("--seed", type=SEED, default=0, metavar="N", help="random seed (0)")
-    encoder = parser.add_argument_group("angle = direction · (ticks − zero_ticks) · 2π/4096, as in servo_node")
+    add = parser.add_argument
+    add("data", nargs="?", metavar="DATA.csv", help="measured poses, see docs/calibration.md")
+    add("--out", metavar="FILE", help="write the fitted geometry, for the parameter geometry_file")
+    add("--nominal", metavar="FILE", help="geometry to start from (default: the built-in one)")
+    add("--plan", metavar="FILE", help="write the poses to measure; with --measure, read them")
+    add("--measure", metavar="FILE", help="move to the poses of --plan, ask for and record positions")
+    add("--force", action="store_true", help="overwrite files, and write a doubtful geometry")
+    add = parser.add_argument_group("prior knowledge, as standard deviations").add_argument
+    add("--measurement-mm", type=between(1e-6, 10.0), default=0.05, metavar="MM", help="of a coordinate (0.05)")
+    add("--tolerance-mm", type=between(1e-6, 20.0), default=0.5, metavar="MM", help="of lengths (0.5)")
+    add("--tolerance-deg", type=between(1e-6, 30.0), default=1.0, metavar="DEG", help="of angles (1)")
+    add = parser.add_argument_group("held-out rows, if the file has no column held_out").add_argument
+    add("--held-out", type=between(0.01, 0.9), default=0.25, metavar="SHARE", help="share of the rows (0.25)")
+    add("--seed", type=SEED, default=0, metavar="N", help="random seed (0)")
+    add = parser.add_argument_group("angle = direction · (ticks − zero_ticks) · 2π/4096, as in servo_node").add_argument
     most = 1_048_575
-    encoder.add_argument(
-        "--zero-ticks",
-        type=integer(-most, most),
-        nargs=3,
-        metavar="N",
-        help="per limb (default: from the file, or 2048)",
-    )
-    encoder.add_argument("--direction", type=integer(-1, 1), nargs=3, metavar="N", help="per limb (1)")
+    text = "per limb (default: from the file, or 2048)"
+    add("--zero-ticks", type=integer(-most, most), nargs=3, metavar="N", help=text)
+    add("--direction", type=integer(-1, 1), nargs=3, metavar="N", help="per limb (1)")
     namespace_option(parser)
 
 
@@ -113,18 +105,14 @@ def kinematics(options: argparse.Namespace) -> Result:
     """Fit, plan or measure, according to the options."""
     if options.measure is not None:
         if options.plan is None or options.data is not None:
-            raise CommandError("--measure FILE needs --plan FILE to read, and no DATA.csv", WRONG_INPUT)
-        from deltacharger_bringup.cli.calibrate_kinematics import measure
-
+            raise WrongInput("--measure FILE needs --plan FILE to read, and no DATA.csv")
         return measure(options, geometry_of(options.nominal))
     if options.plan is not None:
         if options.data is not None or options.out is not None:
-            raise CommandError("--plan FILE writes a plan; it takes neither DATA.csv nor --out", WRONG_INPUT)
+            raise WrongInput("--plan FILE writes a plan; it takes neither DATA.csv nor --out")
         return _plan(options)
     if options.data is None:
-        raise CommandError(
-            "give DATA.csv to fit, --plan FILE to write a plan, or both --plan and --measure", WRONG_INPUT
-        )
+        raise WrongInput("give DATA.csv to fit, --plan FILE to write a plan, or both --plan and --measure")
     return _fit(options)
 
 
@@ -352,10 +340,9 @@ def _encoder(stated: Encoder | None, reported: Encoder | None) -> Encoder:
         log_line(f"servo_node does not report zero_ticks and direction; using {used.zero_ticks} and {used.direction}")
         return used
     if stated is not None and stated != reported:
-        raise CommandError(
+        raise WrongInput(
             f"servo_node has zero_ticks {reported.zero_ticks} and direction {reported.direction}: leave out "
-            "options that differ",
-            WRONG_INPUT,
+            "options that differ"
         )
     return reported
 

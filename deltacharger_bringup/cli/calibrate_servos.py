@@ -6,7 +6,6 @@ from __future__ import annotations
 import argparse
 import datetime
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ import numpy as np
 from deltacharger_bringup.cli.arguments import SEED, between, file_to_write, namespace_option
 from deltacharger_bringup.cli.calibrate_kinematics import geometry_of
 from deltacharger_bringup.cli.charger import DISCOVERY, prepare, ros_context
-from deltacharger_bringup.cli.output import FAILED, CommandError, Interrupts, Result, conclude, log_line
+from deltacharger_bringup.cli.output import CommandError, Interrupts, Result, Tenths, conclude, log_line
 from deltacharger_core.parameters import ParameterError
 from deltacharger_core.servos_file import MeasuredServos, save_servos, servos_to_mapping
 from deltacharger_kinematics.calibration.servo_arm import ServoTask, ServoTrouble
@@ -22,27 +21,20 @@ from deltacharger_kinematics.calibration.servo_checks import Gains, differing, d
 from deltacharger_kinematics.calibration.servo_fit import CONSTANT, FRICTION, STIFFNESS
 from deltacharger_kinematics.calibration.servo_procedure import MeasuredArm, measure_servos
 
-_SHARE = 0.1  # of the measuring time, between two lines of progress
 _HEADS = ("servo 1", "servo 2", "servo 3", "arm")
 
 
 def add_servos(parser: argparse.ArgumentParser) -> None:
     """Add the options of `calibrate servos`."""
+    add = parser.add_argument
     usual = ServoTask()
-    parser.add_argument("--out", metavar="FILE", help="write the measured values, for the parameter servos_file")
-    parser.add_argument("--geometry", metavar="FILE", help="the arm's geometry (default: docking_node's)")
-    parser.add_argument("--force", action="store_true", help="overwrite the file, and write doubtful numbers")
-    parser.add_argument(
-        "--weight-percent",
-        type=between(0.1, 20.0),
-        default=100.0 * usual.weight_tolerance,
-        metavar="P",
-        help="standard deviation of the weight of platform and rods (2)",
-    )
-    parser.add_argument(
-        "--seconds", type=between(60.0, 1800.0), default=usual.seconds, metavar="S", help="how long to measure (150)"
-    )
-    parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="random seed of the order of the poses (0)")
+    add("--out", metavar="FILE", help="write the measured values, for the parameter servos_file")
+    add("--geometry", metavar="FILE", help="the arm's geometry (default: docking_node's)")
+    add("--force", action="store_true", help="overwrite the file, and write doubtful numbers")
+    text = "standard deviation of the weight of platform and rods (2)"
+    add("--weight-percent", type=between(0.1, 20.0), default=100.0 * usual.weight_tolerance, metavar="P", help=text)
+    add("--seconds", type=between(60.0, 1800.0), default=usual.seconds, metavar="S", help="how long to measure (150)")
+    add("--seed", type=SEED, default=0, metavar="N", help="random seed of the order of the poses (0)")
     namespace_option(parser)
 
 
@@ -63,7 +55,7 @@ def servos(options: argparse.Namespace) -> Result:
 
     def save(path: str) -> None:
         if found is None:
-            raise CommandError(f"{problems[0]}; these values cannot be written", FAILED)
+            raise CommandError(f"{problems[0]}; these values cannot be written")
         save_servos(found, path, _header(task, measured, problems))
 
     value = {**({} if found is None else {"servos": servos_to_mapping(found)}), **_about(measured), "doubts": problems}
@@ -83,7 +75,7 @@ def _measured(options: argparse.Namespace) -> tuple[ServoTask, Gains, MeasuredAr
                 task, gains = _task(options, arm.parameters_of("docking_node"), arm.parameters_of("servo_node"))
                 arm.start()
                 log_line(f"the arm moves for up to {math.ceil((task.seconds + 15.0) / 60.0)} minutes; Ctrl-C ends it")
-                measured = measure_servos(arm, task, _progress())
+                measured = measure_servos(arm, task, Tenths())
                 try:
                     arm.retire(measured.fit.common(STIFFNESS)[0])
                 except ArmError as error:
@@ -110,12 +102,11 @@ def _task(options: argparse.Namespace, docking: dict[str, Any], servo: dict[str,
         gains = Gains(*(int(servo[f"position_{name}_gain"]) for name in ("p", "i", "d")))
         constant = float(servo["torque_constant"])
     except KeyError as error:
-        raise CommandError("servo_node does not report its gains; stiffness depends on them", FAILED) from error
+        raise CommandError("servo_node does not report its gains; stiffness depends on them") from error
     if gains.i:
         raise CommandError(
             f"position_i_gain of servo_node is {gains.i}: with it the arm moves until it reaches its goal, so its "
-            "stiffness cannot be measured; start the charger with 0",
-            FAILED,
+            "stiffness cannot be measured; start the charger with 0"
         )
     if options.geometry is not None:
         docking = {name: value for name, value in docking.items() if name == "gravity"}
@@ -123,7 +114,7 @@ def _task(options: argparse.Namespace, docking: dict[str, Any], servo: dict[str,
         settings, geometry = docking_settings(docking)
     except OSError as error:
         raise CommandError(
-            f"docking_node's geometry_file cannot be read here ({error}): give it with --geometry", FAILED
+            f"docking_node's geometry_file cannot be read here ({error}): give it with --geometry"
         ) from error
     task = ServoTask(
         geometry if options.geometry is None else geometry_of(options.geometry),
@@ -134,18 +125,6 @@ def _task(options: argparse.Namespace, docking: dict[str, Any], servo: dict[str,
         options.seed,
     )
     return task, gains
-
-
-def _progress() -> Callable[[float], None]:
-    shown = 0.0
-
-    def show(share: float) -> None:
-        nonlocal shown
-        if share >= shown + _SHARE:
-            shown = share
-            log_line(f"{100.0 * share:.0f} %")
-
-    return show
 
 
 def _header(task: ServoTask, measured: MeasuredArm, problems: list[str]) -> str:

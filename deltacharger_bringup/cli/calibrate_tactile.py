@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_bringup.cli.arguments import file_to_read, file_to_write, integer
-from deltacharger_bringup.cli.output import WRONG_INPUT, CommandError, Result, conclude, wrong_input
+from deltacharger_bringup.cli.output import Result, WrongInput, conclude, wrong_input
 from deltacharger_core.bounded_file import sha256
 from deltacharger_tactile import MODEL_PATH
 from deltacharger_tactile.calibration import faults as sensor_faults
@@ -35,11 +35,12 @@ _UNITS = {"horizontal": ("mm", 1e-3), "vertical": ("mm", 1e-3), "angle": ("°", 
 
 def add_tactile(parser: argparse.ArgumentParser) -> None:
     """Add the options of `calibrate tactile`."""
-    parser.add_argument("--data", required=True, metavar="F.npz", help="dockings at known poses, of `tactile record`")
-    parser.add_argument("--out", required=True, metavar="FILE", help="file to write, for misalignment_node")
-    parser.add_argument("--rig", type=integer(0, 2**31 - 1), metavar="N", help="rig, if the data contain several")
-    parser.add_argument("--model", metavar="M.npz", help="pose model (default: the packaged one)")
-    parser.add_argument("--force", action="store_true", help="overwrite FILE, also if estimates get worse")
+    add = parser.add_argument
+    add("--data", required=True, metavar="F.npz", help="dockings at known poses, of `tactile record`")
+    add("--out", required=True, metavar="FILE", help="file to write, for misalignment_node")
+    add("--rig", type=integer(0, 2**31 - 1), metavar="N", help="rig, if the data contain several")
+    add("--model", metavar="M.npz", help="pose model (default: the packaged one)")
+    add("--force", action="store_true", help="overwrite FILE, also if estimates get worse")
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ def _calibrate(data: Dataset, model: PoseEstimator, options: argparse.Namespace)
     try:
         fit = sensor_calibration_fit.fit(dockings, model)
     except SensorCalibrationError as error:
-        raise CommandError("; ".join([str(error), *pads]), WRONG_INPUT, file=options.data) from error
+        raise WrongInput("; ".join([str(error), *pads]), file=options.data) from error
     worth = sensor_calibration_fit.judge(dockings, model)
     stamped = dataclasses.replace(
         fit.calibration,

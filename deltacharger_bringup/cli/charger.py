@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from deltacharger_bringup.cli.arguments import DEFAULT_SCENE
-from deltacharger_bringup.cli.output import WRONG_INPUT, CommandError, Interrupts, log_line
+from deltacharger_bringup.cli.output import WRONG_INPUT, CommandError, Interrupts, WrongInput, log_line
 from deltacharger_core import environment, runtime
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def require_domain() -> None:
     """
     problem = environment.domain_problem()
     if problem:
-        raise CommandError(problem, WRONG_INPUT)
+        raise WrongInput(problem)
 
 
 def _answers_by_default(namespace: str) -> bool:
@@ -87,7 +87,7 @@ def ros_context() -> Iterator[Context]:
         CommandError: ROS cannot start; exit code 2.
     """
     if problem := environment.problem():
-        raise CommandError(problem, WRONG_INPUT)
+        raise WrongInput(problem)
     try:
         import deltacharger.action  # noqa: F401  (fails here if the interfaces are not built)
         import rclpy
@@ -95,10 +95,9 @@ def ros_context() -> Iterator[Context]:
         from rclpy.signals import SignalHandlerOptions
     except ImportError as error:
         cause = str(error).partition("\n")[0]
-        raise CommandError(
+        raise WrongInput(
             f"ROS 2 or the built interfaces cannot be loaded ({cause}): install the package or source its workspace; "
-            f"if another ROS is sourced, {environment.NEW_SHELL}",
-            WRONG_INPUT,
+            f"if another ROS is sourced, {environment.NEW_SHELL}"
         ) from error
     context = Context()
     rclpy.init(context=context, args=[], signal_handler_options=SignalHandlerOptions.NO)
@@ -148,7 +147,7 @@ def start(scene: Scene, context: Context, namespace: str, held: bool = False) ->
     try:
         return composition.start()
     except StartupError as error:
-        raise CommandError(f"{scene.file}: {error}", WRONG_INPUT, file=scene.file) from error
+        raise WrongInput(f"{scene.file}: {error}", file=scene.file) from error
     except ImportError as error:
         raise CommandError(f"scene '{scene.name}' needs a library that is not installed: {error}") from error
 
@@ -184,8 +183,7 @@ def require_docking(scene: Scene) -> None:
         CommandError: it has no docking_node; exit code 2.
     """
     if not scene.docks:
-        raise CommandError(
+        raise WrongInput(
             f"scene '{scene.name}' starts no docking_node, so it cannot dock and undock; it starts "
-            f"{', '.join(scene.nodes)}; choose another --scene",
-            WRONG_INPUT,
+            f"{', '.join(scene.nodes)}; choose another --scene"
         )

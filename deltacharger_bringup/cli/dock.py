@@ -33,10 +33,10 @@ from deltacharger_bringup.cli.output import (
     DONE,
     FAILED,
     INTERRUPTED,
-    WRONG_INPUT,
     CommandError,
     Interrupts,
     Result,
+    WrongInput,
     log_line,
 )
 from deltacharger_core import environment
@@ -107,29 +107,26 @@ _DEFAULT_PICTURE = "dock.png"
 
 def add_dock(parser: argparse.ArgumentParser) -> None:
     """Add the options of `dock`."""
+    add = parser.add_argument
     scene_option(parser)
     namespace_option(parser)
     for axis in "xyz":
         text = f"position of the electrodes along {axis} of charger_base"
-        parser.add_argument(f"--{axis}-mm", type=MILLIMETRES, metavar="MM", help=text)
-    parser.add_argument("--roll-deg", type=DEGREES, metavar="DEG", help="roll of the electrodes about z, -90 to 90")
-    parser.add_argument("--camera", action="store_true", help="use the camera even if the scene has coordinates")
+        add(f"--{axis}-mm", type=MILLIMETRES, metavar="MM", help=text)
+    add("--roll-deg", type=DEGREES, metavar="DEG", help="roll of the electrodes about z, -90 to 90")
+    add("--camera", action="store_true", help="use the camera even if the scene has coordinates")
     text = "stricter critical angle than the charger's"
-    parser.add_argument("--critical-angle-deg", type=NOT_NEGATIVE, default=0.0, metavar="DEG", help=text)
-    parser.add_argument("--no-charge", action="store_true", help="dock, but do not charge")
-    parser.add_argument("--hold", action="store_true", help="charge until a stop condition, a full target or Ctrl-C")
-    parser.add_argument(
-        "--stop-after-s", type=NOT_NEGATIVE, default=0.0, metavar="S", help="end after this time of charging"
-    )
-    parser.add_argument("--stop-energy-j", type=NOT_NEGATIVE, default=0.0, metavar="J", help="end after this energy")
+    add("--critical-angle-deg", type=NOT_NEGATIVE, default=0.0, metavar="DEG", help=text)
+    add("--no-charge", action="store_true", help="dock, but do not charge")
+    add("--hold", action="store_true", help="charge until a stop condition, a full target or Ctrl-C")
+    add("--stop-after-s", type=NOT_NEGATIVE, default=0.0, metavar="S", help="end after this time of charging")
+    add("--stop-energy-j", type=NOT_NEGATIVE, default=0.0, metavar="J", help="end after this energy")
     text = "name of the target's profile (default: the charger's first one)"
-    parser.add_argument("--target-profile", default="", metavar="NAME", help=text)
-    parser.add_argument("--deadline-s", type=deadline, default=math.inf, metavar="S", help="cancel after this time")
-    parser.add_argument("--request-id", default="", metavar="ID", help="is returned in docking_state")
-    parser.add_argument(
-        "--picture", default=_DEFAULT_PICTURE, metavar="FILE", help=f"picture of the run (default: {_DEFAULT_PICTURE})"
-    )
-    parser.add_argument("--no-picture", action="store_true", help="write no picture")
+    add("--target-profile", default="", metavar="NAME", help=text)
+    add("--deadline-s", type=deadline, default=math.inf, metavar="S", help="cancel after this time")
+    add("--request-id", default="", metavar="ID", help="is returned in docking_state")
+    add("--picture", default=_DEFAULT_PICTURE, metavar="FILE", help=f"picture of the run (default: {_DEFAULT_PICTURE})")
+    add("--no-picture", action="store_true", help="write no picture")
     record_option(parser)
 
 
@@ -207,7 +204,7 @@ def dock_request(options: argparse.Namespace, scene: Scene) -> DockRequest:
 def _electrodes(flags: dict[str, Any], camera: bool, scene: Scene) -> Pose | None:
     if camera:
         if flags:
-            raise CommandError("--camera and coordinates exclude each other", WRONG_INPUT)
+            raise WrongInput("--camera and coordinates exclude each other")
         return None
     if scene.goal is not None:
         return Pose(**{**asdict(scene.goal), **flags})
@@ -215,9 +212,7 @@ def _electrodes(flags: dict[str, Any], camera: bool, scene: Scene) -> Pose | Non
         return None
     missing = [f"--{axis}-mm" for axis in "xyz" if axis not in flags]
     if missing:
-        raise CommandError(
-            f"{', '.join(missing)} missing: scene '{scene.name}' has no key goal; give them", WRONG_INPUT
-        )
+        raise WrongInput(f"{', '.join(missing)} missing: scene '{scene.name}' has no key goal; give them")
     return Pose(**flags)
 
 
@@ -330,10 +325,11 @@ class _Run:
 
 def add_undock(parser: argparse.ArgumentParser) -> None:
     """Add the options of `undock`."""
+    add = parser.add_argument
     scene_option(parser)
     namespace_option(parser)
-    parser.add_argument("--deadline-s", type=deadline, default=math.inf, metavar="S", help="cancel after this time")
-    parser.add_argument("--request-id", default="", metavar="ID", help="is returned in docking_state")
+    add("--deadline-s", type=deadline, default=math.inf, metavar="S", help="cancel after this time")
+    add("--request-id", default="", metavar="ID", help="is returned in docking_state")
 
 
 def undock(options: argparse.Namespace) -> Result:

@@ -13,12 +13,10 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING
 
 from deltacharger_bringup.cli.arguments import DEFAULT_SCENE, integer, scene_option
-from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, Result, log_line
-from deltacharger_bringup.doctor.board import examine_board
+from deltacharger_bringup.cli.output import DONE, FAILED, Result, WrongInput, log_line
 from deltacharger_bringup.doctor.environment import RosProbe, examine_settings, examine_versions
 from deltacharger_bringup.doctor.findings import Finding, checked, hint, install, ok, wrong
 from deltacharger_bringup.doctor.ports import candidates, examine_camera, examine_port, same_device
-from deltacharger_bringup.doctor.servos import examine_servos, set_baud
 from deltacharger_core import environment
 from deltacharger_core.machine import BAUD_RATE, BEHIND_BOARD, SERVO_IDS
 
@@ -30,17 +28,16 @@ _CURRENT_MAX = 3.0  # A, default of servo_node
 
 def add_doctor(parser: argparse.ArgumentParser) -> None:
     """Add the options of `doctor`."""
+    add = parser.add_argument
     scene_option(parser)
-    parser.add_argument(
-        "--servo-port", metavar="PORT", help=f"port of the servos, instead of the scene's, or {BEHIND_BOARD}"
-    )
-    parser.add_argument("--board-port", metavar="PORT", help="port of the board, instead of the scene's")
+    add("--servo-port", metavar="PORT", help=f"port of the servos, instead of the scene's, or {BEHIND_BOARD}")
+    add("--board-port", metavar="PORT", help="port of the board, instead of the scene's")
     speeds = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
     text = "write this speed (bit/s) to servos with another speed, torque off; needs --servo-port"
-    parser.add_argument("--set-baud", type=int, choices=speeds, metavar="BAUD", help=text)
+    add("--set-baud", type=int, choices=speeds, metavar="BAUD", help=text)
     text = "clear a latched weld (fault 7), only after the contactor was replaced; refused while something is live"
-    parser.add_argument("--clear-weld", action="store_true", help=text)
-    parser.add_argument("--ids", type=integer(0, 252), nargs="+", metavar="ID", help="for --set-baud (default: all)")
+    add("--clear-weld", action="store_true", help=text)
+    add("--ids", type=integer(0, 252), nargs="+", metavar="ID", help="for --set-baud (default: all)")
 
 
 @dataclass
@@ -70,7 +67,7 @@ def doctor(options: argparse.Namespace) -> Result:
     if options.set_baud is not None:
         return _set_baud(options)
     if options.ids is not None:
-        raise CommandError("--ids needs --set-baud", WRONG_INPUT)
+        raise WrongInput("--ids needs --set-baud")
     hardware = _hardware(options)
     hardware.clear_weld = options.clear_weld
     environment.prepare()
@@ -94,12 +91,18 @@ def doctor(options: argparse.Namespace) -> Result:
 
 def _set_baud(options: argparse.Namespace) -> Result:
     if not options.servo_port:
-        raise CommandError("--set-baud needs --servo-port: give the port of the servos to write", WRONG_INPUT)
+        raise WrongInput("--set-baud needs --servo-port: give the port of the servos to write")
     hardware = _Hardware(servo_port=options.servo_port, board_port=options.board_port or "")
     if options.scene or bool(options.board_port) != hardware.is_one_cable:
         text = "--set-baud uses --servo-port alone; leave out --scene and --board-port, or give both ports as "
-        raise CommandError(f"{text}--servo-port {BEHIND_BOARD} --board-port PORT", WRONG_INPUT)
-    found = _examine_servos(hardware, lambda port: set_baud(port, options.set_baud, options.ids))
+        raise WrongInput(f"{text}--servo-port {BEHIND_BOARD} --board-port PORT")
+
+    def write(port: str) -> Iterator[Finding]:
+        from deltacharger_bringup.doctor.servos import set_baud
+
+        return set_baud(port, options.set_baud, options.ids)
+
+    found = _examine_servos(hardware, write)
     return _report(found, hardware)
 
 
@@ -124,7 +127,7 @@ def _hardware(options: argparse.Namespace) -> _Hardware:
     hardware.wired = scene.node_parameters("docking_node", {}).get("power") == "none"
     if scene.simulation is not None:
         if given:
-            raise CommandError(f"scene '{scene.name}' has its own ports; leave out --servo-port and --board-port", 2)
+            raise WrongInput(f"scene '{scene.name}' has its own ports; leave out --servo-port and --board-port")
         hardware.simulated = scene
         return hardware
     environment.reach(scene.network)  # as in the command that starts it
@@ -174,11 +177,22 @@ def _examine_ports(hardware: _Hardware) -> list[Finding]:
     if servo:
         speed, ids, current = hardware.servo_speed, hardware.ids, hardware.current_max
         words = f"--servo-port {BEHIND_BOARD} --board-port {board}" if hardware.is_one_cable else ""
-        found += _examine_servos(hardware, lambda port: examine_servos(port, speed, ids, current, options=words))
+
+        def look(port: str) -> Iterator[Finding]:
+            from deltacharger_bringup.doctor.servos import examine_servos
+
+            return examine_servos(port, speed, ids, current, options=words)
+
+        found += _examine_servos(hardware, look)
     if board:
         text = f"checking the board on {board} ..."
         speed, wired, clear_weld = hardware.board_speed, hardware.wired, hardware.clear_weld
-        check = lambda: examine_board(board, speed, wired=wired, clear_weld=clear_weld)  # noqa: E731
+
+        def check() -> Iterator[Finding]:
+            from deltacharger_bringup.doctor.board import examine_board
+
+            return examine_board(board, speed, wired=wired, clear_weld=clear_weld)
+
         found += _examine("board", board, text, check)
     return found
 

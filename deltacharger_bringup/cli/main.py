@@ -22,11 +22,11 @@ from typing import Any
 from deltacharger_bringup.cli.arguments import Parser, Version, add_command
 from deltacharger_bringup.cli.output import (
     DONE,
-    FAILED,
     INTERRUPTED,
     WRONG_INPUT,
     CommandError,
     Result,
+    WrongInput,
     from_os_error,
     log_line,
     show,
@@ -165,7 +165,7 @@ def _run(words: list[str], commands: Mapping[str, Command] | None, prog: str) ->
         result = from_os_error(error).result()
     except UnicodeError as error:
         text = f"a name or text is not UTF-8 ({error}); rename or change it"
-        result = CommandError(text, WRONG_INPUT).result()
+        result = WrongInput(text).result()
     except Exception as error:
         known = _known(error)
         if known is None:
@@ -179,34 +179,34 @@ def _require_plain(words: list[str]) -> None:
     for word in words:
         if streams.plain(word) != word:
             shown = streams.plain(streams.shortened(word))
-            raise CommandError(f"'{shown}' contains control characters: rename or retype it", WRONG_INPUT)
+            raise WrongInput(f"'{shown}' contains control characters: rename or retype it")
         if len(word) > _LONGEST_WORD:
-            raise CommandError(f"'{word[:20]}…' has {len(word)} characters, more than any name or path", WRONG_INPUT)
+            raise WrongInput(f"'{word[:20]}…' has {len(word)} characters, more than any name or path")
 
 
 def _require_laboratory(words: list[str], commands: Mapping[str, Command]) -> None:
     """Refuse a command of the laboratory where that is not installed, and say how to get it."""
     for name in LABORATORY:
         if name not in commands and words[:1] == [name]:
-            raise CommandError(f"{name} is a command of the laboratory: {HOW_TO_GET_IT}", WRONG_INPUT)
+            raise WrongInput(f"{name} is a command of the laboratory: {HOW_TO_GET_IT}")
 
 
 def _known(error: Exception) -> CommandError | None:
     """Return an error that names the missing library or what ROS refuses; None for a defect."""
     name = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
     if name == "cv2":  # its message says how to install it; FAILED would mean that no electrodes were found
-        return CommandError(str(error), WRONG_INPUT)
+        return WrongInput(str(error))
     if name in _EXTRA_OF:
         others = ", or by rosdep with DELTACHARGER_EXTRAS=all" if name == "scipy" else ""  # what a robot needs
-        return CommandError(f"{name} is not installed; install {_EXTRA_OF[name]}{others}", FAILED)
+        return CommandError(f"{name} is not installed; install {_EXTRA_OF[name]}{others}")
     if "rclpy" in sys.modules:  # commands without ROS must not import it only to report an error
         from deltacharger_ros.client import ClientError
         from deltacharger_ros.node_support import ros_problem
 
         if isinstance(error, ClientError):
-            return CommandError(str(error), FAILED)
+            return CommandError(str(error))
         problem = ros_problem(error)
-        return CommandError(problem, WRONG_INPUT) if problem else None
+        return WrongInput(problem) if problem else None
     return None
 
 

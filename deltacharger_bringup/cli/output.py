@@ -61,6 +61,13 @@ class CommandError(Exception):
         return Result("", {"error": text, **self.details}, self.exit_code, (text,))
 
 
+class WrongInput(CommandError):
+    """Usage or input is wrong; exit code 2."""
+
+    def __init__(self, message: str, **details: Any) -> None:
+        super().__init__(message, WRONG_INPUT, **details)
+
+
 def is_wrong_path(error: OSError) -> bool:
     """Whether another path would help; False if disk, quota, memory or a device is the cause."""
     kinds = FileNotFoundError | FileExistsError | PermissionError | IsADirectoryError | NotADirectoryError
@@ -102,12 +109,29 @@ def wrong_input(*kinds: type[Exception], before: str = "", **details: Any) -> It
         if isinstance(error, OSError):
             raise from_os_error(error, before) from error
         details |= {name: getattr(error, name) for name in ("file", "key", "lines") if hasattr(error, name)}
-        raise CommandError(f"{before}{error}", WRONG_INPUT, **details) from error
+        raise WrongInput(f"{before}{error}", **details) from error
 
 
 def log_line(text: str) -> None:
     """Write a line for people to stderr."""
     streams.write(text, sys.stderr)
+
+
+class Tenths:
+    """Print the progress of a job, at most at every tenth.
+
+    Args:
+        share: that was done before.
+    """
+
+    def __init__(self, share: float = 0.0) -> None:
+        self._tenth = int(10 * share)
+
+    def __call__(self, share: float, text: str = "") -> None:
+        """Print `share` with a text, if another tenth is done."""
+        if int(10 * share) > self._tenth:
+            self._tenth = int(10 * share)
+            log_line(f"{100 * share:3.0f} %  {text}".rstrip())
 
 
 def print_text(text: str) -> None:

@@ -20,9 +20,10 @@ from deltacharger_sim.proven import doubts
 
 def add_scene(parser: argparse.ArgumentParser) -> None:
     """Add the options of `scene`."""
+    add = parser.add_argument
     text = "check these; of a single one, also show what it sets (default: list every packaged scene)"
-    parser.add_argument("scenes", nargs="*", metavar="NAME|FILE", help=text)
-    parser.add_argument("--all", action="store_true", help="of a single scene, also show the keys with default values")
+    add("scenes", nargs="*", metavar="NAME|FILE", help=text)
+    add("--all", action="store_true", help="of a single scene, also show the keys with default values")
 
 
 def load_for_command(name_or_file: str) -> Scene:

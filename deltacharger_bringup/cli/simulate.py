@@ -20,15 +20,7 @@ from deltacharger_bringup.cli.arguments import (
     scene_option,
 )
 from deltacharger_bringup.cli.charger import require_domain
-from deltacharger_bringup.cli.output import (
-    DONE,
-    FAILED,
-    WRONG_INPUT,
-    CommandError,
-    Interrupts,
-    Result,
-    answer,
-)
+from deltacharger_bringup.cli.output import DONE, CommandError, Interrupts, Result, WrongInput, answer
 from deltacharger_bringup.cli.scene import load_for_command
 from deltacharger_core import environment, real_time, runtime, signals
 from deltacharger_core.parameters import ParameterError
@@ -44,19 +36,19 @@ _LONGEST_LINGER = 3.0  # s
 
 def add_simulate(parser: argparse.ArgumentParser) -> None:
     """Add the options of `simulate`."""
+    add = parser.add_argument
     scene_option(parser)
     namespace_option(parser)
-    parser.add_argument("--directory", required=True, metavar="DIR", help="folder of the ports DIR/servo and DIR/board")
-    parser.add_argument("--record", metavar="FILE", help="at the end, write the record of the simulated world as JSON")
-    text = "end with 0 on Ctrl-C, as nodes do; for launch files"
-    parser.add_argument("--as-node", action="store_true", help=text)
+    add("--directory", required=True, metavar="DIR", help="folder of the ports DIR/servo and DIR/board")
+    add("--record", metavar="FILE", help="at the end, write the record of the simulated world as JSON")
+    add("--as-node", action="store_true", help="end with 0 on Ctrl-C, as nodes do; for launch files")
 
 
 def simulate(options: argparse.Namespace) -> Result:
     """Emulate the hardware until SIGINT or SIGTERM."""
     scene = load_for_command(options.scene or DEFAULT_SCENE)
     if scene.simulation is None:
-        raise CommandError(f"scene '{scene.name}' has no key 'simulation': choose a simulated scene", WRONG_INPUT)
+        raise WrongInput(f"scene '{scene.name}' has no key 'simulation': choose a simulated scene")
     if options.record:
         file_to_write("--record", options.record)
     real_time.take_priority()  # no program delays a real board
@@ -69,7 +61,7 @@ def simulate(options: argparse.Namespace) -> Result:
         while not interrupts.event.wait(0.2):
             broken = charger.errors()
             if broken:
-                raise CommandError(f"the simulated charger failed: {broken[0]!r}", FAILED)
+                raise CommandError(f"the simulated charger failed: {broken[0]!r}")
         # Nodes that end by the same Ctrl-C still switch the torque off and open the contactor.
         hurry = threading.Event() if options.as_node else interrupts.impatient
         charger.wait_until_quiet(_QUIET, _LONGEST_LINGER, hurry)
@@ -85,25 +77,26 @@ _FLAGS = {"last": "--for-s", "servo": "--servo", "amount": "--amount"}
 
 def add_fault(parser: argparse.ArgumentParser) -> None:
     """Add the options of `fault`."""
-    parser.add_argument("kind", nargs="?", metavar="KIND", help="kind of fault; see --list")
-    parser.add_argument("--for-s", type=NOT_NEGATIVE, default=0.0, metavar="S", help="duration (until --clear)")
-    parser.add_argument("--amount", type=between(-1e9, 1e9), metavar="A", help="size, in the unit of its kind")
-    parser.add_argument("--servo", type=integer(1, 3), default=0, metavar="N", help="id, for faults of one servo")
-    parser.add_argument("--list", action="store_true", help="list the kinds and the active faults")
-    parser.add_argument("--clear", action="store_true", help="end all lasting faults")
-    parser.add_argument("--directory", metavar="DIR", help="folder of the ports (default: by ROS domain)")
+    add = parser.add_argument
+    add("kind", nargs="?", metavar="KIND", help="kind of fault; see --list")
+    add("--for-s", type=NOT_NEGATIVE, default=0.0, metavar="S", help="duration (until --clear)")
+    add("--amount", type=between(-1000000000.0, 1000000000.0), metavar="A", help="size, in the unit of its kind")
+    add("--servo", type=integer(1, 3), default=0, metavar="N", help="id, for faults of one servo")
+    add("--list", action="store_true", help="list the kinds and the active faults")
+    add("--clear", action="store_true", help="end all lasting faults")
+    add("--directory", metavar="DIR", help="folder of the ports (default: by ROS domain)")
     namespace_option(parser)
 
 
 def fault(options: argparse.Namespace) -> Result:
     """Inject one fault, end all, or list them."""
     if (options.kind is not None) + options.list + options.clear != 1:
-        raise CommandError("give exactly one of KIND, --list and --clear", WRONG_INPUT)
+        raise WrongInput("give exactly one of KIND, --list and --clear")
     require_domain()
     if options.kind is not None:
         return _inject(options, _checked(options))
     if options.amount is not None or options.servo or options.for_s:
-        raise CommandError("--amount, --servo and --for-s need a KIND", WRONG_INPUT)
+        raise WrongInput("--amount, --servo and --for-s need a KIND")
     return _clear(options) if options.clear else _list(options)
 
 
@@ -112,7 +105,7 @@ def _checked(options: argparse.Namespace) -> Fault:
         return Fault(options.kind, last=options.for_s, servo=options.servo, amount=options.amount)
     except ParameterError as error:
         flag = _FLAGS.get(error.key)
-        raise CommandError(f"{flag}: {error.problem}" if flag else error.problem, WRONG_INPUT) from error
+        raise WrongInput(f"{flag}: {error.problem}" if flag else error.problem) from error
 
 
 def _inject(options: argparse.Namespace, wanted: Fault) -> Result:

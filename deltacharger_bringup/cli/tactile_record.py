@@ -19,6 +19,7 @@ from deltacharger_bringup.cli.output import (
     CommandError,
     Interrupts,
     Result,
+    WrongInput,
     log_line,
     wrong_input,
 )
@@ -41,33 +42,29 @@ _FRAME = 1.0 / 120.0  # s
 
 def add_record(parser: argparse.ArgumentParser) -> None:
     """Add the options of `tactile record`."""
-    parser.add_argument("--out", required=True, metavar="F.npz", help="data set, written from the folder F.recording")
-    parser.add_argument("--set", choices=SETS, help="the paper's sets, dockings at zero, or random offsets up to 12 mm")
-    parser.add_argument(
-        "--angle-deg", type=between(-20.0, 20.0), metavar="DEG", help="angle of the target (sets angle and sweep)"
-    )
+    add = parser.add_argument
+    add("--out", required=True, metavar="F.npz", help="data set, written from the folder F.recording")
+    add("--set", choices=SETS, help="the paper's sets, dockings at zero, or random offsets up to 12 mm")
+    add("--angle-deg", type=between(-20.0, 20.0), metavar="DEG", help="angle of the target (sets angle and sweep)")
     text = "dockings per offset (position: 20) or in total (angle: 100, reference: 10, sweep: 100)"
-    parser.add_argument("--repeat", type=integer(1, 10_000), metavar="N", help=text)
+    add("--repeat", type=integer(1, 10000), metavar="N", help=text)
     text = "offsets of the set position (-10 -5 0 5 10)"
-    parser.add_argument("--offsets-mm", type=between(-20.0, 20.0), nargs="+", metavar="MM", help=text)
-    parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="random seed of order and offsets (0)")
-    parser.add_argument("--compose", action="store_true", help="only write F.npz from the recorded dockings")
-    namespace_option(parser)
-    target = parser.add_argument_group("position of the target's electrodes in charger_base")
-    for flag, default in (("--x-mm", 0.0), ("--y-mm", 0.0), ("--z-mm", 80.0)):
-        target.add_argument(flag, type=MILLIMETRES, default=default, metavar="MM", help=f"({default:g})")
-    shared = parser.add_argument_group("for the complete data set")
-    shared.add_argument("--rig", type=integer(0, 2**31 - 1), default=0, metavar="N", help="number of this charger (0)")
-    shared.add_argument("--sensor", default="", metavar="ID", help="id of the charger's pads, stored in the data set")
-    shared.add_argument(
-        "--frames", type=integer(1, 240), default=1, metavar="N", help="frames averaged in each row (1)"
-    )
-    shared.add_argument("--rows", type=integer(1, 240), default=1, metavar="N", help="rows of each docking (1)")
-    text = "smaller forces count as 0 (0.25)"
-    shared.add_argument("--threshold", type=between(0.0, 9.0), default=0.25, metavar="N", help=text)
-    shared.add_argument("--dwell-s", type=between(0.0, 60.0), default=0.5, metavar="S", help="time to rest first (0.5)")
+    add("--offsets-mm", type=between(-20.0, 20.0), nargs="+", metavar="MM", help=text)
+    add("--seed", type=SEED, default=0, metavar="N", help="random seed of order and offsets (0)")
+    add("--compose", action="store_true", help="only write F.npz from the recorded dockings")
     text = "dockings per tare, i.e. per session (25)"
-    parser.add_argument("--tare-every", type=integer(1, 10_000), default=25, metavar="N", help=text)
+    add("--tare-every", type=integer(1, 10000), default=25, metavar="N", help=text)
+    namespace_option(parser)
+    add = parser.add_argument_group("position of the target's electrodes in charger_base").add_argument
+    for flag, default in (("--x-mm", 0.0), ("--y-mm", 0.0), ("--z-mm", 80.0)):
+        add(flag, type=MILLIMETRES, default=default, metavar="MM", help=f"({default:g})")
+    add = parser.add_argument_group("for the complete data set").add_argument
+    add("--rig", type=integer(0, 2**31 - 1), default=0, metavar="N", help="number of this charger (0)")
+    add("--sensor", default="", metavar="ID", help="id of the charger's pads, stored in the data set")
+    add("--frames", type=integer(1, 240), default=1, metavar="N", help="frames averaged in each row (1)")
+    add("--rows", type=integer(1, 240), default=1, metavar="N", help="rows of each docking (1)")
+    add("--threshold", type=between(0.0, 9.0), default=0.25, metavar="N", help="smaller forces count as 0 (0.25)")
+    add("--dwell-s", type=between(0.0, 60.0), default=0.5, metavar="S", help="time to rest first (0.5)")
 
 
 def record(options: argparse.Namespace) -> Result:
@@ -115,22 +112,17 @@ def _refusing() -> Iterator[None]:
 def _part(options: argparse.Namespace) -> Part:
     """Return the part that the options define; options of another set are refused."""
     if options.set is None:
-        raise CommandError("give --set, or --compose to write the data set from the recorded dockings", WRONG_INPUT)
+        raise WrongInput("give --set, or --compose to write the data set from the recorded dockings")
     most = TILTED.get(options.set)
     if most is None and options.angle_deg:
-        raise CommandError(f"--set {options.set} takes no --angle-deg: the target is level", WRONG_INPUT)
+        raise WrongInput(f"--set {options.set} takes no --angle-deg: the target is level")
     if most is not None and options.angle_deg is None:
-        raise CommandError(
-            f"--set {options.set} needs --angle-deg, the angle of the target: from +x to +y is positive",
-            WRONG_INPUT,
-        )
+        raise WrongInput(f"--set {options.set} needs --angle-deg, the angle of the target: from +x to +y is positive")
     angle = options.angle_deg or 0.0
     if most is not None and abs(angle) > most:
-        raise CommandError(
-            f"--angle-deg {angle:g} is outside {-most:g} to {most:g} of --set {options.set}", WRONG_INPUT
-        )
+        raise WrongInput(f"--angle-deg {angle:g} is outside {-most:g} to {most:g} of --set {options.set}")
     if options.offsets_mm is not None and options.set != "position":
-        raise CommandError(f"--set {options.set} takes no --offsets-mm", WRONG_INPUT)
+        raise WrongInput(f"--set {options.set} takes no --offsets-mm")
     return Part(
         set=options.set,
         angle_deg=angle,
@@ -200,7 +192,7 @@ class _Call:
         out, journal = self.journal.out, self.journal
         data = journal.compose()
         if data is None:
-            raise CommandError(f"{journal.folder} contains no dockings: record some with --set", WRONG_INPUT)
+            raise WrongInput(f"{journal.folder} contains no dockings: record some with --set")
         assert journal.settings is not None
         kind = "simulated " if journal.settings.simulated else ""
         lines = [f"{out}: {len(data)} rows of {len(journal.dockings)} {kind}dockings"]

@@ -18,7 +18,7 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from deltacharger_bringup.cli.camera_views import ViewsFolder, view_places
 from deltacharger_bringup.cli.charger import DISCOVERY
-from deltacharger_bringup.cli.output import FAILED, CommandError, Interrupts, log_line
+from deltacharger_bringup.cli.output import CommandError, Interrupts, log_line
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_records.datasets.arm_client import STILL, ArmClient
@@ -113,7 +113,7 @@ def _visit(
             blind += 1
             log_line(f"at ({where}) mm the board is not visible")
             if blind == _BLIND and not folder.angles:
-                raise CommandError(_unseen(board, image), FAILED)
+                raise CommandError(_unseen(board, image))
         else:
             middle = tuple(0.5 * (first + second) for first, second in zip(before, angles, strict=True))
             name = folder.add(image, (middle[0], middle[1], middle[2]))

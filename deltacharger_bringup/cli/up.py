@@ -25,16 +25,7 @@ from deltacharger_bringup.cli.charger import (
     start,
     wait_for_actions,
 )
-from deltacharger_bringup.cli.output import (
-    DONE,
-    FAILED,
-    WRONG_INPUT,
-    CommandError,
-    Interrupts,
-    Result,
-    answer,
-    log_line,
-)
+from deltacharger_bringup.cli.output import DONE, FAILED, CommandError, Interrupts, Result, WrongInput, answer, log_line
 from deltacharger_core import environment, real_time
 
 if TYPE_CHECKING:
@@ -47,19 +38,18 @@ if TYPE_CHECKING:
 
 def add_up(parser: argparse.ArgumentParser) -> None:
     """Add the options of `up`; options that change the scene are checked with it."""
+    add = parser.add_argument
     scene_option(parser)
     namespace_option(parser)
     record_option(parser)
-    parser.add_argument(
-        "--recording", metavar="FILE", help="recording that the scene plays (without --scene: scene replay plays it)"
-    )
-    parser.add_argument("--servo-port", default="", metavar="PORT", help="port of the servos, instead of the scene's")
-    parser.add_argument("--board-port", default="", metavar="PORT", help="port of the board, instead of the scene's")
+    add("--recording", metavar="FILE", help="recording that the scene plays (without --scene: scene replay plays it)")
+    add("--servo-port", default="", metavar="PORT", help="port of the servos, instead of the scene's")
+    add("--board-port", default="", metavar="PORT", help="port of the board, instead of the scene's")
     text = "source of images, instead of the scene's: an OAK-D, image topics of another driver, or none"
-    parser.add_argument("--camera", default="", metavar="oak|topics|none", help=text)
+    add("--camera", default="", metavar="oak|topics|none", help=text)
     for what, text in (("frame", "frame, for two chargers in one tf tree"), ("joint", "joint, for two in one URDF")):
-        parser.add_argument(f"--{what}-prefix", default="", metavar="TEXT", help=f"prefix of each {text}")
-    parser.add_argument("--model", default="", metavar="FILE", help="pose model (npz) of misalignment_node")
+        add(f"--{what}-prefix", default="", metavar="TEXT", help=f"prefix of each {text}")
+    add("--model", default="", metavar="FILE", help="pose model (npz) of misalignment_node")
 
 
 def up(options: argparse.Namespace) -> Result:
@@ -144,7 +134,7 @@ def _with_options(scene: Scene, options: argparse.Namespace) -> Scene:
         return override(scene, Overrides(**{each.name: getattr(options, each.name) or "" for each in fields}))
     except SceneError as error:
         problem = f"{error.file}: --{error.key.replace('_', '-')}: {error.problem}"
-        raise CommandError(problem, WRONG_INPUT, file=error.file, key=error.key) from error
+        raise WrongInput(problem, file=error.file, key=error.key) from error
 
 
 def _interfaces(composition: Composition) -> str:

@@ -14,16 +14,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from deltacharger_bringup.cli.arguments import between, file_to_write, folder_to_write
-from deltacharger_bringup.cli.output import (
-    DONE,
-    FAILED,
-    WRONG_INPUT,
-    CommandError,
-    Result,
-    log_line,
-    wrong_input,
-)
+from deltacharger_bringup.cli.arguments import between, folder_to_write
+from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, Result, Tenths, WrongInput, log_line, wrong_input
 from deltacharger_core import environment
 from deltacharger_core.mcap_file import RecordingError, recordings_in
 from deltacharger_vision.cameras.camera_info import load_camera_info
@@ -32,56 +24,35 @@ from deltacharger_vision.detector.annotate import annotated
 from deltacharger_vision.detector.detection import Detection
 from deltacharger_vision.detector.detector import ElectrodeDetector
 from deltacharger_vision.errors import VisionError
-from deltacharger_vision.image_files import (
-    CAMERA_INFO,
-    check_picture_name,
-    images_in,
-    read_rgbd,
-    require_opencv,
-    write_picture,
-)
+from deltacharger_vision.image_files import CAMERA_INFO, PICTURES, ImageFiles, images_in, require_opencv, write_picture
 from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.mount import CAMERA_FRAME, FRAME, Mount
 from deltacharger_vision.placed import Placed
 from deltacharger_vision.terminal import Terminal
 
-_ONE = ("depth", "picture")
 _TOPICS = ("color_topic", "depth_topic", "info_topic")
-_MANY = ("pictures", *_TOPICS)
-_NAMED = 10  # broken images named on stderr; the JSON object names all
+_PLACED = ("position", "roll", "normal", "covariance")
+_SEEN = (*_PLACED, "confidence", "range", "source")
 
 
 def add_detect(parser: argparse.ArgumentParser) -> None:
     """Add the options of `vision detect`."""
-    parser.add_argument(
-        "path",
-        nargs="?",
-        metavar="FOLDER|REC.mcap",
-        help="images NAME.color.png and NAME.depth.png (or color/NAME.png and depth/NAME.png), or a recording",
-    )
-    one = parser.add_argument_group("one image")
-    one.add_argument("--color", metavar="A.png", help="PNG or JPEG")
-    one.add_argument("--depth", metavar="A.png|A.npy", help="aligned depth: 16-bit mm, or float m (default: none)")
-    one.add_argument("--picture", metavar="OUT.png", help="copy of the image with the result drawn into it")
-    many = parser.add_argument_group("a folder or a recording")
-    many.add_argument("--pictures", metavar="DIR", help="folder for such a copy of every image")
-    many.add_argument("--color-topic", default="", metavar="NAME", help="(topic ending in color/image_raw)")
-    many.add_argument("--depth-topic", default="", metavar="NAME", help="(depth/image_raw of the same camera)")
-    many.add_argument("--info-topic", default="", metavar="NAME", help="(camera_info beside the colour)")
-    parser.add_argument(
-        "--camera-info",
-        metavar="K.yaml",
-        help="intrinsics of the colour image (folder: its camera_info.yaml; recording: its own)",
-    )
-    parser.add_argument(
-        "--depth-unit-mm",
-        type=between(0.01, 10.0),
-        default=1.0,
-        metavar="MM",
-        help="unit of 16-bit depth (default: 1, some cameras 0.1)",
-    )
-    parser.add_argument("--terminal", metavar="T.yaml", help="size of the bars (default: 70 × 10 mm, 7.4 mm apart)")
-    parser.add_argument("--mount", metavar="MOUNT.yaml", help="also report the pose in charger_base")
+    add = parser.add_argument
+    text = "PNG or JPEG; folder of NAME.color.png and NAME.depth.png (or color/NAME.png and depth/NAME.png); recording"
+    add("path", metavar="IMAGE|FOLDER|REC.mcap", help=text)
+    text = "of one image: aligned depth, 16-bit mm or float m (default: none)"
+    add("--depth", metavar="A.png|A.npy", help=text)
+    text = "intrinsics of the colour image (folder: its camera_info.yaml; recording: its own)"
+    add("--camera-info", metavar="K.yaml", help=text)
+    text = "unit of 16-bit depth (default: 1, some cameras 0.1)"
+    add("--depth-unit-mm", type=between(0.01, 10.0), default=1.0, metavar="MM", help=text)
+    add("--terminal", metavar="T.yaml", help="size of the bars (default: 70 × 10 mm, 7.4 mm apart)")
+    add("--mount", metavar="MOUNT.yaml", help="also report the pose in charger_base")
+    add("--pictures", metavar="DIR", help="folder for a copy of every image with the result drawn into it")
+    add = parser.add_argument_group("of a recording").add_argument
+    add("--color-topic", default="", metavar="NAME", help="(topic ending in color/image_raw)")
+    add("--depth-topic", default="", metavar="NAME", help="(depth/image_raw of the same camera)")
+    add("--info-topic", default="", metavar="NAME", help="(camera_info beside the colour)")
 
 
 class _Readable(Protocol):
@@ -102,109 +73,83 @@ class _Images:
     images: Iterable[_Readable]
     count: int
     camera: Any
+    single: bool = False
 
 
 def detect(options: argparse.Namespace) -> Result:
     """Find the electrodes in one image or in many."""
-    _check_usage(options)
     with wrong_input(VisionError, RecordingError):
         require_opencv().setNumThreads(1)  # an image is too little work for several threads
-        finder = _Finder(options)
-        return _one(options, finder) if options.path is None else _many(options, finder)
-
-
-def _check_usage(options: argparse.Namespace) -> None:
-    if options.path is None and options.color is None:
-        raise CommandError("give --color for one image, or a folder or a recording", WRONG_INPUT)
-    if options.path is not None and options.color is not None:
-        raise CommandError(f"give --color or {options.path}, not both", WRONG_INPUT)
-    for name in _MANY if options.path is None else _ONE:
-        if getattr(options, name):
-            where = "a folder or a recording" if options.path is None else "one image, with --color"
-            raise CommandError(f"{_flag(name)} is for {where}", WRONG_INPUT)
-
-
-class _Finder:
-    """The detector and the mount of one call."""
-
-    def __init__(self, options: argparse.Namespace) -> None:
-        self._detector = ElectrodeDetector(Terminal.load(options.terminal) if options.terminal else None)
-        self.mount = Mount.load(options.mount) if options.mount else None
-
-    def find(self, image: RgbdImage) -> tuple[Detection | None, dict[str, Any]]:
-        """Return the detection in an image, and its JSON-ready fields."""
-        started = time.perf_counter()
-        found = self._detector.detect(image)
-        return found, _fields(found, self.mount, time.perf_counter() - started)
-
-
-def _one(options: argparse.Namespace, finder: _Finder) -> Result:
-    if options.camera_info is None:
-        raise CommandError("--color needs --camera-info, the intrinsics of the image", WRONG_INPUT)
-    picture = None if options.picture is None else file_to_write("--picture", options.picture)
-    if picture is not None:
-        check_picture_name(picture)
-    depth = None if options.depth is None else Path(options.depth)
-    intrinsics = load_camera_info(options.camera_info)
-    image = read_rgbd(Path(options.color), depth, intrinsics, 1e-3 * options.depth_unit_mm)
-    if depth is None:
-        log_line("no --depth: using the colour image alone")
-    elif not np.isfinite(image.depth).any():
-        log_line(f"{depth}: all depth is unknown; using the colour image alone")
-    found, fields = finder.find(image)
-    if picture is not None:
-        write_picture(picture, annotated(image, found))
-    lines = ["no electrodes found"] if found is None else _lines(found, finder.mount)
-    return Result("\n".join(lines), fields, FAILED if found is None else DONE)
-
-
-def _many(options: argparse.Namespace, finder: _Finder) -> Result:
-    pictures = None if options.pictures is None else folder_to_write("--pictures", options.pictures)
-    path = Path(options.path)
-    source = _recorded(options, path) if recordings_in(path) else _stored(options, path)
-    results: list[dict[str, Any]] = []
-    progress = _Progress(source.count)
-    try:
-        for each in source.images:
-            try:
-                image = each.read(source.camera, 1e-3 * options.depth_unit_mm)
-                found, fields = finder.find(image)
-            except (VisionError, OSError) as error:
-                progress.broken(each.name, error)
-                results.append({"name": each.name, "error": str(error)})
-                continue
-            if pictures is not None:
-                write_picture(pictures / f"{each.name}.png", annotated(image, found))
-            results.append({"name": each.name, **fields})
-            progress.searched(found is not None)
-    except RecordingError as error:  # images before the damage are still reported
-        if not results:
-            raise
-        log_line(str(error))
+        pictures = None if options.pictures is None else folder_to_write("--pictures", options.pictures)
+        source = _source(options, Path(options.path))
+        results: list[dict[str, Any]] = []
+        try:
+            progress = Tenths()
+            for result in _search(options, source, pictures):
+                results.append(result)
+                if not source.single:
+                    progress(len(results) / source.count, f"{len(results)} of {source.count} images")
+        except RecordingError as error:  # images before the damage are still reported
+            if not results:
+                raise
+            log_line(str(error))
     if not results:
         text = f"none of {source.count} images has a depth image of the same instant: record both with equal stamps"
-        raise CommandError(f"{path}: {text}", WRONG_INPUT)
-    return _report_many(results, source.count)
-
-
-def _report_many(results: list[dict[str, Any]], count: int) -> Result:
-    total = _summary(results, count)
-    lines = [*(f"{each['name']}: {_short(each)}" for each in results), _total_line(total)]
+        raise WrongInput(f"{options.path}: {text}")
+    if source.single:
+        (result,) = results
+        del result["name"]
+        return Result(_text(result), result, DONE if result["found"] else FAILED)
+    total = _summary(results, source.count)
+    lines = [*(f"{each['name']}: {_text(each)}" for each in results), _total_line(total)]
     code = DONE if total["found"] else WRONG_INPUT if total["broken"] == total["images"] else FAILED
     return Result("\n".join(lines), {"frame": CAMERA_FRAME, **total, "results": results}, code)
+
+
+def _search(options: argparse.Namespace, source: _Images, pictures: Path | None) -> Iterator[dict[str, Any]]:
+    """Yield the result of each image; a broken one of many has `error`."""
+    detector = ElectrodeDetector(Terminal.load(options.terminal) if options.terminal else None)
+    mount = Mount.load(options.mount) if options.mount else None
+    for each in source.images:
+        try:
+            image = each.read(source.camera, 1e-3 * options.depth_unit_mm)
+            started = time.perf_counter()
+            found = detector.detect(image)
+            took = time.perf_counter() - started
+        except (VisionError, OSError) as error:
+            if source.single:
+                raise
+            yield {"name": each.name, "error": str(error)}
+            continue
+        if pictures is not None:
+            write_picture(pictures / f"{each.name}.png", annotated(image, found))
+        yield {"name": each.name, **_fields(found, mount), "detection_time": took}
+
+
+def _source(options: argparse.Namespace, path: Path) -> _Images:
+    if path.suffix.lower() in PICTURES and not path.is_dir():
+        for name in filter(lambda name: getattr(options, name), _TOPICS):
+            raise WrongInput(f"{_flag(name)} is for a recording")
+        if options.camera_info is None:
+            raise WrongInput("one image needs --camera-info, its intrinsics")
+        depth = None if options.depth is None else Path(options.depth)
+        return _Images([ImageFiles(path.stem, path, depth)], 1, load_camera_info(options.camera_info), single=True)
+    if options.depth is not None:
+        raise WrongInput("--depth is for one image")
+    return _recorded(options, path) if recordings_in(path) else _stored(options, path)
 
 
 def _stored(options: argparse.Namespace, folder: Path) -> _Images:
     """Return the images of a folder."""
     if folder.exists() and not folder.is_dir():
-        raise CommandError(f"{folder}: give a folder or a recording (*.mcap), or --color", WRONG_INPUT)
+        raise WrongInput(f"{folder}: give an image, a folder or a recording (*.mcap)")
     for name in _TOPICS:
         if getattr(options, name):
-            raise CommandError(f"{_flag(name)} is for a recording", WRONG_INPUT)
+            raise WrongInput(f"{_flag(name)} is for a recording")
     images = images_in(folder)
     info = folder / CAMERA_INFO if options.camera_info is None else Path(options.camera_info)
     if options.camera_info is None and not info.exists():
-        raise CommandError(f"{folder} contains no {CAMERA_INFO}; put it there, or give --camera-info", WRONG_INPUT)
+        raise WrongInput(f"{folder} contains no {CAMERA_INFO}; put it there, or give --camera-info")
     alone = sum(each.depth is None for each in images)
     if alone:
         log_line(f"{alone} of {len(images)} images have no depth image")
@@ -221,63 +166,24 @@ def _recorded(options: argparse.Namespace, path: Path) -> _Images:
     given = None if options.camera_info is None else load_camera_info(options.camera_info)
     camera = given or recorded_info(recording)
     if camera is None:
-        raise CommandError(f"{path} has no camera_info beside {topics.color}; give --camera-info", WRONG_INPUT)
+        raise WrongInput(f"{path} has no camera_info beside {topics.color}; give --camera-info")
     if not recording.images:
-        raise CommandError(f"{path}: {topics.color} holds no images; record again", WRONG_INPUT)
+        raise WrongInput(f"{path}: {topics.color} holds no images; record again")
     if not topics.depth:
         log_line(f"{path} has no depth topic; using the colour images alone")
     return _Images(recorded_images(recording), recording.images, camera)
-
-
-class _Progress:
-    """Print progress on stderr, at most at every tenth, and the names of broken images."""
-
-    def __init__(self, count: int) -> None:
-        self._count = count
-        self._seen = self._found = self._broken = self._tenth = 0
-
-    def searched(self, found: bool) -> None:
-        """Count a searched image."""
-        self._found += found
-        self._count_one()
-
-    def broken(self, name: str, error: Exception) -> None:
-        """Count a broken image and name it."""
-        self._broken += 1
-        if self._broken <= _NAMED:
-            log_line(f"{name}: {error}")
-        elif self._broken == _NAMED + 1:
-            log_line("more images are broken; --json names all")
-        self._count_one()
-
-    def _count_one(self) -> None:
-        self._seen += 1
-        tenth = 10 * self._seen // self._count
-        if tenth > self._tenth:
-            self._tenth = tenth
-            log_line(f"{10 * tenth:3} %  {self._seen} of {self._count} images, electrodes in {self._found}")
 
 
 def _flag(name: str) -> str:
     return f"--{name.replace('_', '-')}"
 
 
-_PLACED = ("position", "roll", "normal", "covariance")
-_SEEN = (*_PLACED, "confidence", "range", "source")
-
-
-def _fields(found: Detection | None, mount: Mount | None, seconds: float) -> dict[str, Any]:
-    """Return the result of one image; NaN = unknown, None = absent.
-
-    Args:
-        found: None = no electrodes.
-        mount: adds the pose in charger_base.
-        seconds: run time of the detector.
-    """
+def _fields(found: Detection | None, mount: Mount | None) -> dict[str, Any]:
+    """Return the result of one image, with a mount also in charger_base; NaN = unknown, None = no electrodes."""
     result = {"found": found is not None, "frame": CAMERA_FRAME, **_named(found, _SEEN)}
     if mount is not None:
         result[FRAME] = _named(None if found is None else mount.place(found), _PLACED)
-    return {**result, "detection_time": seconds}
+    return result
 
 
 def _named(found: Detection | Placed | None, names: Sequence[str]) -> dict[str, Any]:
@@ -285,20 +191,20 @@ def _named(found: Detection | Placed | None, names: Sequence[str]) -> dict[str, 
     return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in values.items()}
 
 
-def _lines(found: Detection, mount: Mount | None) -> Iterator[str]:
-    """Yield a detection as lines for people."""
-    yield _pose(CAMERA_FRAME, found)
-    if mount is not None:
-        yield _pose(FRAME, mount.place(found))
-    source = "image and depth" if found.source == "both" else "the image alone"
-    yield f"range {1e3 * found.range:.1f} mm, confidence {found.confidence:.2f}, from {source}"
-
-
-def _pose(frame: str, found: Detection | Placed) -> str:
-    place = "  ".join(f"{axis} {1e3 * value:.2f}" for axis, value in zip("xyz", found.position, strict=True))
-    spread = np.sqrt(np.diag(found.covariance))
+def _text(result: Mapping[str, Any]) -> str:
+    """Return a result as a line: the pose in charger_base if known, else in the camera's frame."""
+    if "error" in result:
+        return str(result["error"])
+    if not result["found"]:
+        return "no electrodes found"
+    pose = result.get(FRAME, result)
+    place = "  ".join(f"{axis} {1e3 * value:.2f}" for axis, value in zip("xyz", pose["position"], strict=True))
+    spread = np.sqrt(np.diag(pose["covariance"]))
     errors = " ".join(f"{1e3 * value:.2f}" for value in spread[:3])
-    return f"{frame}: {place} mm (± {errors}), roll {math.degrees(found.roll):.2f}° (± {math.degrees(spread[5]):.2f})"
+    roll = f"roll {math.degrees(pose['roll']):.2f}° (± {math.degrees(spread[5]):.2f})"
+    source = "image and depth" if result["source"] == "both" else "the image alone"
+    frame = FRAME if FRAME in result else CAMERA_FRAME
+    return f"{place} mm (± {errors}), {roll} in {frame}, confidence {result['confidence']:.2f}, from {source}"
 
 
 def _summary(results: Sequence[Mapping[str, Any]], expected: int) -> dict[str, Any]:
@@ -319,17 +225,6 @@ def _summary(results: Sequence[Mapping[str, Any]], expected: int) -> dict[str, A
             "p95": float(np.percentile(times, 95.0)) if times else None,
         },
     }
-
-
-def _short(result: Mapping[str, Any]) -> str:
-    """Return a result as a line: the pose in charger_base if known, else in the camera's frame."""
-    if "error" in result:
-        return str(result["error"])
-    if not result["found"]:
-        return "no electrodes found"
-    x, y, z = (f"{1e3 * value:.1f}" for value in result.get(FRAME, result)["position"])
-    roll = math.degrees(result.get(FRAME, result)["roll"])
-    return f"x {x}  y {y}  z {z} mm, roll {roll:.2f}°, confidence {result['confidence']:.2f}"
 
 
 def _total_line(total: Mapping[str, Any]) -> str:

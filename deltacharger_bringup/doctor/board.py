@@ -11,15 +11,20 @@ import math
 import statistics
 import time
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
 
 from deltacharger_bringup.doctor.findings import Finding, failed, hint, ok, wrong
-from deltacharger_core.machine import BATTERY_MAX, BATTERY_MIN
-
-if TYPE_CHECKING:
-    from deltacharger_driver.board.link import BoardLink
-    from deltacharger_driver.board.payloads import Hello
-    from deltacharger_driver.board.samples import PowerSample, TactileSample
+from deltacharger_core.charge_port import Port, port_of
+from deltacharger_core.machine import BATTERY_MAX, BATTERY_MIN, CONTACT_FORCE
+from deltacharger_driver.board.errors import BoardMismatch, CommandRefused
+from deltacharger_driver.board.link import BoardLink
+from deltacharger_driver.board.payloads import Hello, probe_problem, weld_problem
+from deltacharger_driver.board.protocol import HEARTBEAT_PERIOD, POWER_RATE, clearing, fault_name
+from deltacharger_driver.board.samples import PowerSample, TactileSample
+from deltacharger_driver.errors import NoAnswer, WrongDevice
+from deltacharger_tactile.estimate import Limits
 
 WATCHED = 2.0  # s of stream
 _RATE_SHARE = 0.95  # of the board's nominal rate; a lower rate is wrong
@@ -41,10 +46,6 @@ def examine_board(
         wired: the electrodes are wired to the battery (power: none): no power stage and no probe.
         clear_weld: clear a latched weld, if nothing is live.
     """
-    from deltacharger_driver.board.errors import BoardMismatch
-    from deltacharger_driver.board.link import BoardLink
-    from deltacharger_driver.errors import NoAnswer, WrongDevice
-
     frames: list[TactileSample] = []
     powers: list[PowerSample] = []
     link = BoardLink(path, baud_rate, on_tactile=frames.append, on_power=powers.append)
@@ -76,8 +77,6 @@ def examine_board(
 
 
 def _firmware(link: BoardLink, hello: Hello) -> Iterator[Finding]:
-    from deltacharger_driver.board.protocol import HEARTBEAT_PERIOD
-
     trip = statistics.median(link.ping() for _ in range(_PINGS))
     text = f"version {hello.major}.{hello.minor}, {hello.rows} x {hello.columns} taxels per pad, {hello.rate:g} Hz"
     yield ok("board", f"{text}; answers in {trip * 1e3:.1f} ms")
@@ -113,11 +112,6 @@ def _stream(link: BoardLink, hello: Hello, frames: list[Any], watched: float) ->
 
 def _pads(frames: list[Any]) -> Iterator[Finding]:
     """Yield dead taxels, force on a pad, and whether the pads are tared."""
-    import numpy as np
-
-    from deltacharger_core.machine import CONTACT_FORCE
-    from deltacharger_tactile.estimate import Limits
-
     limit = Limits().pad_dead
     tared = bool(frames[-1].tared)
     for side, name in enumerate(("left", "right")):
@@ -145,11 +139,6 @@ def _pads(frames: list[Any]) -> Iterator[Finding]:
 
 
 def _clear_weld(link: BoardLink, powers: list[Any]) -> Finding:
-    from deltacharger_driver.board.errors import CommandRefused
-    from deltacharger_driver.board.payloads import weld_problem
-    from deltacharger_driver.board.protocol import POWER_RATE
-    from deltacharger_driver.errors import NoAnswer
-
     try:
         link.clear_weld()
     except (CommandRefused, NoAnswer) as error:
@@ -160,8 +149,6 @@ def _clear_weld(link: BoardLink, powers: list[Any]) -> Finding:
 
 
 def _power(powers: list[Any]) -> Iterator[Finding]:
-    from deltacharger_driver.board.protocol import clearing, fault_name
-
     if not powers:
         yield wrong(
             "power", "no data from the power stage (20 per second expected)", "flash the board's firmware again"
@@ -204,11 +191,6 @@ def _stage(hello: Hello) -> Finding:
 
 
 def _probe(link: BoardLink) -> Finding:
-    from deltacharger_core.charge_port import Port, port_of
-    from deltacharger_driver.board.errors import CommandRefused
-    from deltacharger_driver.board.payloads import probe_problem
-    from deltacharger_driver.errors import NoAnswer
-
     try:
         result = link.probe()
     except (CommandRefused, NoAnswer) as error:

@@ -7,14 +7,14 @@ import contextlib
 import statistics
 import time
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
 
 from deltacharger_bringup.doctor.findings import Finding, failed, hint, ok, wrong
 from deltacharger_core.machine import SERVO_IDS
-
-if TYPE_CHECKING:
-    from deltacharger_driver.port_identity import FoundServo, PortIdentity
-    from deltacharger_driver.servos.link import ServoLink
+from deltacharger_driver.errors import CorruptReply, DriverError, NoAnswer, ServoFault
+from deltacharger_driver.port_identity import SERVO_SPEEDS, FoundServo, PortIdentity, identify
+from deltacharger_driver.servos.link import ServoLink
+from deltacharger_driver.servos.mx64 import MODEL, SPEEDS, VOLTAGE_UNIT, WATCHDOG_TRIPPED, describe_hardware_error
+from deltacharger_driver.servos.setup import check_registers
 
 SUPPLY = (11.0, 13.0)  # V, what a 12 V regulator gives
 _WARM = 15.0  # °C below the servo's own limit
@@ -25,12 +25,7 @@ _FIRMWARE_ADVICE = "update its firmware to 39 or later (Protocol 2.0) with the v
 
 
 def examine_servos(
-    path: str,
-    baud_rate: int,
-    ids: Sequence[int],
-    current_max: float,
-    speeds: Sequence[int] = (),
-    options: str = "",
+    path: str, baud_rate: int, ids: Sequence[int], current_max: float, speeds: Sequence[int] = (), options: str = ""
 ) -> Iterator[Finding]:
     """Find all servos of a port and check those that the charger uses.
 
@@ -42,8 +37,6 @@ def examine_servos(
         speeds: to search, bit/s; empty = all speeds of the servos.
         options: command-line options of the port for the remedy; empty = --servo-port with its path.
     """
-    from deltacharger_driver.port_identity import SERVO_SPEEDS, identify
-
     found = identify(path, speeds or SERVO_SPEEDS, ids, _PATIENCE)
     if found.kind != "servos":
         yield _none(found)
@@ -74,8 +67,6 @@ def _none(found: PortIdentity) -> Finding:
 
 def _problem(servo: int, matching: Sequence[FoundServo], baud_rate: int, options: str) -> Finding | None:
     """Return why one servo cannot be used, or None."""
-    from deltacharger_driver.servos.mx64 import MODEL
-
     part = f"servo {servo}"
     if not matching:
         return wrong(part, "does not answer at any speed", f"{_SUPPLY_ADVICE}; set its id to {servo} if it has another")
@@ -102,9 +93,6 @@ def _strangers(servos: Sequence[FoundServo], ids: Sequence[int]) -> Iterator[Fin
 
 def _check_registers(path: str, baud_rate: int, servos: Sequence[int], current_max: float) -> Iterator[Finding]:
     """Yield the findings from the registers of servos at the right speed."""
-    from deltacharger_driver.errors import CorruptReply, NoAnswer, ServoFault
-    from deltacharger_driver.servos.link import ServoLink
-
     link = ServoLink(path, baud_rate)
     link.open()
     try:
@@ -123,8 +111,6 @@ def _check_registers(path: str, baud_rate: int, servos: Sequence[int], current_m
 
 
 def _health(link: ServoLink, servo: int) -> Iterator[Finding]:
-    from deltacharger_driver.servos.mx64 import VOLTAGE_UNIT, WATCHDOG_TRIPPED, describe_hardware_error
-
     part = f"servo {servo}"
     errors = link.read(servo, "hardware_error")
     if errors:
@@ -153,8 +139,6 @@ def _health(link: ServoLink, servo: int) -> Iterator[Finding]:
 
 def _settings(link: ServoLink, servo: int, current_max: float) -> Iterator[Finding]:
     """Yield the registers that servo_node would refuse."""
-    from deltacharger_driver.servos.setup import check_registers
-
     for fault in check_registers(link, servo, current_max):
         what, _, advice = fault.partition("; ")
         advice = f"{advice}; set it with the vendor's wizard" if "wizard" not in advice else advice
@@ -163,8 +147,6 @@ def _settings(link: ServoLink, servo: int, current_max: float) -> Iterator[Findi
 
 def _line(link: ServoLink, servos: Sequence[int]) -> Iterator[Finding]:
     """Yield the reliability and the response time of the servos."""
-    from deltacharger_driver.errors import CorruptReply, NoAnswer, ServoFault
-
     times: list[float] = []
     lost = 0
     for _ in range(_READS):
@@ -208,8 +190,6 @@ def set_baud(path: str, baud: int, ids: Sequence[int] | None, speeds: Sequence[i
     Yields:
         one finding per servo, ok if it has the speed `baud` now.
     """
-    from deltacharger_driver.port_identity import SERVO_SPEEDS, identify
-
     wanted = None if ids is None else list(dict.fromkeys(ids))
     found = identify(path, speeds or SERVO_SPEEDS, wanted or SERVO_IDS, _PATIENCE)
     if found.kind == "board":
@@ -223,10 +203,6 @@ def set_baud(path: str, baud: int, ids: Sequence[int] | None, speeds: Sequence[i
 
 
 def _set_one(path: str, baud: int, servo: int, matching: Sequence[FoundServo]) -> Finding:
-    from deltacharger_driver.errors import DriverError
-    from deltacharger_driver.servos.link import ServoLink
-    from deltacharger_driver.servos.mx64 import MODEL
-
     part = f"servo {servo}"
     if not matching:
         return wrong(part, "does not answer at any speed", "check the 12 V supply, the cable and its id")
@@ -257,9 +233,6 @@ def _write(link: ServoLink, servo: int, old: int, new: int) -> Finding:
     Raises:
         DriverError: the servo refuses, or the line fails.
     """
-    from deltacharger_driver.errors import CorruptReply, NoAnswer
-    from deltacharger_driver.servos.mx64 import SPEEDS
-
     part = f"servo {servo}"
     code = next(code for code, speed in SPEEDS.items() if speed == new)
     link.write(servo, "torque_enable", 0)

@@ -3,8 +3,8 @@
 
 Library calls for `generate`, `train --model lda --target horizontal` and `evaluate` of `python -m
 deltacharger_lab.training`. Prints the numbers of dockings for training and evaluation, the accuracies of the model and
-of always choosing the commonest class, and how often a prediction may be acted on. All data are simulated. Training needs deltacharger-lab[train];
-the saved model needs only numpy.
+of always choosing the commonest class, and how often a prediction may be acted on. All data are simulated.
+Training needs deltacharger-lab[train]; the saved model needs only numpy.
 
     python lab/examples/train_a_model.py [model.npz]
 """

@@ -39,7 +39,7 @@ FILES = {
 }
 FIT, RECORD = "calibrate kinematics", "tactile record --out F.npz"
 BOARD, PRINT = "calibrate camera --views .", "calibrate camera --print"
-COLOR = "vision detect --color text.png"
+COLOR = "vision detect text.png"
 # Command line, and a noun of what is said about it.
 REFUSED = {
     "no-such-command": "no-such-command",
@@ -86,14 +86,13 @@ REFUSED = {
     f"{RECORD} --set reference --out F.csv": ".npz",
     f"{RECORD} --set reference --out text.npz": "--out",
     f"{RECORD} --compose": "dockings",
-    "vision detect": "--color",
+    "vision detect": "IMAGE",
     COLOR: "--camera-info",
     f"{COLOR} --camera-info none.yaml": "none.yaml",
-    f"{COLOR} --camera-info k.yaml --picture out.gif": "out.gif",
-    f"{COLOR} --camera-info k.yaml --picture folder.png": "folder.png",
-    f"{COLOR} --camera-info k.yaml --pictures out": "--pictures",
-    f"{COLOR} .": "both",
-    "vision detect . --picture out.png": "--picture",
+    f"{COLOR} --camera-info k.yaml": "distortion",
+    f"{COLOR} --camera-info k.yaml --pictures text": "--pictures",
+    f"{COLOR} --color-topic /x": "--color-topic",
+    "vision detect . --depth text.png": "--depth",
     "vision detect none.mcap": "none.mcap",
     "vision detect k.yaml": "folder",
     "vision detect folder.png": "images",

@@ -20,6 +20,8 @@ from deltacharger_bringup.cli.output import (
     CommandError,
     Interrupts,
     Result,
+    Tenths,
+    WrongInput,
     from_os_error,
     log_line,
     wrong_input,
@@ -62,10 +64,10 @@ def campaign(options: argparse.Namespace) -> Result:
     if options.compare is not None:
         return _compare(options)
     if options.picture is not None:
-        raise CommandError("--picture needs --compare", WRONG_INPUT)
+        raise WrongInput("--picture needs --compare")
     folder, settings = _folder(options), _settings(options)
     if options.scheduler and options.workers:
-        raise CommandError("--workers is for this computer; a scheduler has its own workers", WRONG_INPUT)
+        raise WrongInput("--workers is for this computer; a scheduler has its own workers")
     with campaign_errors():
         with Interrupts() as interrupts, Store(folder, settings) as store:
             progress = CampaignProgress(settings.n, len(store.done))
@@ -124,7 +126,7 @@ class CampaignProgress:
         self._done = begun
         self._charged = 0
         self._started = time.monotonic()
-        self._tenth = 10 * begun // total
+        self._tell = Tenths(begun / total)
         self._bar = sys.stderr is not None and sys.stderr.isatty()
         if begun:
             log_line(f"{begun} of {total} dockings exist already")
@@ -133,13 +135,11 @@ class CampaignProgress:
         """Count written rows."""
         self._done += len(rows)
         self._charged += sum(row["charged"] for row in rows)
-        tenth = 10 * self._done // self._total
         if self._bar:
             full = _BAR * self._done // self._total
             print(f"\r[{'#' * full}{'.' * (_BAR - full)}] {self._line()}  ", end="", file=sys.stderr, flush=True)
-        elif tenth > self._tenth:
-            log_line(f"{10 * tenth:3} %  {self._line()}")
-        self._tenth = tenth
+        else:
+            self._tell(self._done / self._total, self._line())
 
     def end(self) -> None:
         """End the line of the bar."""
@@ -158,7 +158,7 @@ class CampaignProgress:
 
 def _folder(options: argparse.Namespace) -> Path:
     if not options.out:
-        raise CommandError("--out DIR is missing: give the folder for the results", WRONG_INPUT)
+        raise WrongInput("--out DIR is missing: give the folder for the results")
     folder = Path(options.out)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -172,9 +172,7 @@ def _settings(options: argparse.Namespace) -> CampaignSettings:
         scene = load_campaign_scene(options.scenes)
     count = options.n or len(scene.dockings) or _DEFAULT_COUNT
     if scene.dockings and count > len(scene.dockings):
-        raise CommandError(
-            f"-n {count}: {scene.file} lists {len(scene.dockings)} dockings; give at most that number", WRONG_INPUT
-        )
+        raise WrongInput(f"-n {count}: {scene.file} lists {len(scene.dockings)} dockings; give at most that number")
     return CampaignSettings(count, options.seed, options.exact, scene.content, scene.name, versions())
 
 

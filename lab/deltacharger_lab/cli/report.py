@@ -13,10 +13,10 @@ from deltacharger_bringup.cli.arguments import SEED, folder_to_write, integer
 from deltacharger_bringup.cli.output import (
     FAILED,
     INTERRUPTED,
-    WRONG_INPUT,
     CommandError,
     Interrupts,
     Result,
+    WrongInput,
     log_line,
     wrong_input,
 )
@@ -60,7 +60,7 @@ def report(options: argparse.Namespace) -> Result:
     for name in sorted({name for _, names in _OF.values() for name in names.split()} - set(own)):
         if getattr(options, name) is not None:
             flag = f"-{name}" if len(name) == 1 else f"--{name}"
-            raise CommandError(f"{flag} is not an option of report {options.subject}", WRONG_INPUT)
+            raise WrongInput(f"{flag} is not an option of report {options.subject}")
     options.out = options.out or f"report-{options.subject}"
     if options.seed is None:
         options.seed = {"kinematics": 1, "tactile": 1, "vision": 0}.get(options.subject)
@@ -96,7 +96,7 @@ def _tactile(options: argparse.Namespace) -> Result:
     plan = (tactile_plan.quick_plan if options.quick else tactile_plan.full_plan)(options.seed)
     _print_absent(tactile_plan.absent())
     if not plan.names:
-        raise CommandError("no library for training is installed; install deltacharger-lab[train]", FAILED)
+        raise CommandError("no library for training is installed; install deltacharger-lab[train]")
     directory = folder_to_write("--out", options.out)
     results = report.build(plan, directory, f"{_command(options)} --seed {options.seed}", log_line)
     return _end(options, results, directory, ("simulated", "rigs", "seeds"), "simulated data:")
@@ -110,7 +110,7 @@ def _vision(options: argparse.Namespace) -> Result:
     plan = vision_plan.plan(options.images, options.seed, options.quick)
     _print_absent(plan.absent)
     if "opencv" in plan.absent:
-        raise CommandError(f"OpenCV is absent: {plan.absent['opencv']}", FAILED)
+        raise CommandError(f"OpenCV is absent: {plan.absent['opencv']}")
     directory = folder_to_write("--out", options.out)
     command = f"{_command(options)} --images {plan.images} --seed {plan.seed}"
     results = report.build(plan, directory, command, log_line)
@@ -167,7 +167,7 @@ def _footprint(options: argparse.Namespace) -> Result:
     scenes = options.scene or []
     unsupported = footprint_process.unsupported()
     if unsupported:
-        raise CommandError(unsupported, FAILED)
+        raise CommandError(unsupported)
     with wrong_input(SceneError, before="--scene: "):
         plan = footprint_plan.make_plan(scenes, options.quick, options.repeats)
     for name, reason in plan.left_out.items():

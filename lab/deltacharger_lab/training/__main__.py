@@ -14,13 +14,7 @@ import numpy as np
 
 from deltacharger_bringup.cli.arguments import SEED, between, file_to_read, file_to_write, integer
 from deltacharger_bringup.cli.main import main
-from deltacharger_bringup.cli.output import (
-    WRONG_INPUT,
-    CommandError,
-    Result,
-    log_line,
-    wrong_input,
-)
+from deltacharger_bringup.cli.output import CommandError, Result, Tenths, WrongInput, log_line, wrong_input
 from deltacharger_core.machine import CONTACT_FORCE
 from deltacharger_docking.codes import DockingError
 from deltacharger_lab.campaigns.recording import Protocol, record_paper
@@ -95,7 +89,7 @@ def generate(options: argparse.Namespace) -> Result:
     threshold = usual if options.threshold is None else options.threshold
     common = {"seed": options.seed, "frames": options.frames, "rows": options.rows, "threshold": threshold}
     if options.protocol != "continuous" and options.dockings is not None:
-        raise CommandError("--dockings is for --protocol continuous; the paper's numbers are fixed", WRONG_INPUT)
+        raise WrongInput("--dockings is for --protocol continuous; the paper's numbers are fixed")
     if options.protocol == "paper":
         data = generate_paper(**common, rigs=rigs)
     elif options.protocol == "docked":
@@ -110,7 +104,7 @@ def generate(options: argparse.Namespace) -> Result:
 
 def _docked(options: argparse.Namespace, protocol: Protocol) -> Dataset:
     if options.rigs not in (None, 1):
-        raise CommandError("--rigs: --protocol docked records one rig; give another --first-rig instead", WRONG_INPUT)
+        raise WrongInput("--rigs: --protocol docked records one rig; give another --first-rig instead")
     try:
         return record_paper(protocol, log_line)
     except DockingError as error:
@@ -120,7 +114,7 @@ def _docked(options: argparse.Namespace, protocol: Protocol) -> Dataset:
 def train(options: argparse.Namespace) -> Result:
     """Train a classifier, or the pose estimator, on a data set."""
     if options.target == "pose" and options.model != "pose":
-        raise CommandError(f"--model {options.model} predicts classes; give --model pose", WRONG_INPUT)
+        raise WrongInput(f"--model {options.model} predicts classes; give --model pose")
     out, data = file_to_write("--out", options.out, ".npz"), _load(options.data)
     with wrong_input(TactileError):
         result = _train_pose(options, data, out) if options.target == "pose" else _train_class(options, data, out)
@@ -135,7 +129,7 @@ def _train_class(options: argparse.Namespace, data: Dataset, out: Path) -> dict[
     cut = data.threshold
     model = TrainableClassifier(options.model, options.target, max(cut, THRESHOLD) if cut >= 0.0 else CONTACT_FORCE)
     model.about = {"data": data.meta, "seed": options.seed, "dockings": len(np.unique(rows.groups[learns]))}
-    model.fit(rows.frames[learns], rows.labels[learns], options.seed, _Progress())
+    model.fit(rows.frames[learns], rows.labels[learns], options.seed, Tenths())
     model.calibrate(rows.frames[checks], rows.labels[checks], rows.frames[learns])
     if options.reference is not None:
         known = examples(_load(options.reference, "--reference"), options.target)
@@ -146,9 +140,9 @@ def _train_class(options: argparse.Namespace, data: Dataset, out: Path) -> dict[
 
 def _train_pose(options: argparse.Namespace, data: Dataset, out: Path) -> dict[str, Any]:
     if options.reference is not None:
-        raise CommandError("--reference is for classes; for the pose use `deltacharger calibrate tactile`", WRONG_INPUT)
+        raise WrongInput("--reference is for classes; for the pose use `deltacharger calibrate tactile`")
     started = time.perf_counter()
-    fit_dataset(data, options.seed, _Progress()).save(out)
+    fit_dataset(data, options.seed, Tenths()).save(out)
     return {"n": len(data), "fit_time": time.perf_counter() - started}
 
 
@@ -191,20 +185,6 @@ def _lines(found: dict[str, Any]) -> Iterator[str]:
 def _load(name: str, flag: str = "--data") -> Dataset:
     with wrong_input(TactileError):
         return Dataset.load(file_to_read(flag, name))
-
-
-class _Progress:
-    """Print the progress of training, at most at every tenth."""
-
-    def __init__(self) -> None:
-        self._tenth = -1
-
-    def __call__(self, share: float, text: str) -> None:
-        """Print the progress if another tenth is done."""
-        tenth = int(10 * share)
-        if tenth != self._tenth:
-            self._tenth = tenth
-            log_line(f"{100 * share:3.0f} %  {text}")
 
 
 if __name__ == "__main__":
