@@ -21,7 +21,7 @@ from deltacharger_driver.servos.report import ServoPhase, ServoReport
 from deltacharger_driver.servos.servo_node_io import StatePublishers
 from deltacharger_ros.messages import seconds
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.version]
 
 
 class Kept:
