@@ -159,7 +159,7 @@ def _stored(options: argparse.Namespace, folder: Path) -> _Images:
 def _recorded(options: argparse.Namespace, path: Path) -> _Images:
     """Return the images of a recording."""
     environment.prepare()
-    from deltacharger_records.recording.rgbd_recording import recorded_images, recorded_info
+    from deltacharger_vision.ros.recorded import recorded_images, recorded_info
 
     recording = CameraRecording(path, CameraTopics(options.color_topic, options.depth_topic, options.info_topic))
     topics = recording.topics

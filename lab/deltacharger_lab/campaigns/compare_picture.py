@@ -7,7 +7,8 @@ import math
 from pathlib import Path
 from typing import Any
 
-from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, RED, Axes, picture
+from deltacharger_lab.plotting import Axes, picture
+from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, RED
 
 _WIDTH, _HEIGHT = 10.5, 6.4  # inches
 _LABELS = {

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from deltacharger_lab.plotting import Axes, picture, top_legend
 from deltacharger_lab.reports.docking.lean import MAP, MOST
 from deltacharger_lab.reports.docking.summary import Columns
-from deltacharger_records.plotting import Axes, picture, top_legend
 
 NAME = "docking-lean.png"
 _KINDS = (

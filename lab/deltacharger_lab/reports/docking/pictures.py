@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from deltacharger_lab.plotting import Axes, picture, top_legend
 from deltacharger_lab.reports.docking import lean_picture, summary
-from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, RED, Axes, picture, top_legend
+from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, RED
 
 FORMS = {
     "random": ("ours", BLUE),

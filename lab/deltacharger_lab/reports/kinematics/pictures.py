@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from deltacharger_lab.plotting import Axes, note, picture
 from deltacharger_lab.reports.kinematics.workspace import draw_condition, draw_force
-from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, RED, Axes, note, picture
+from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, RED
 
 _COLOURS = {"ours": BLUE, "form": ORANGE, "peer": PURPLE}
 _MARKERS = {"ours": "oD^*", "form": "vPXs<>", "peer": "hpds^"}

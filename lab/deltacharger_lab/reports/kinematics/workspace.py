@@ -12,8 +12,9 @@ import numpy as np
 from deltacharger_core.arrays import Array
 from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_kinematics import Delta, DeltaGeometry, Status
+from deltacharger_lab.plotting import Axes, picture
 from deltacharger_lab.reports.kinematics.sets import plain_edge
-from deltacharger_records.plotting import INK, Axes, picture
+from deltacharger_records.plotting import INK
 
 _LIMITS = Status.JOINT_LIMIT | Status.SWING_LIMIT
 _BEYOND = "#dfe3e8"  # out of reach, or only on the other assembly

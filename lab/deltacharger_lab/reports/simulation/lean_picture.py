@@ -7,11 +7,12 @@ import math
 from pathlib import Path
 from typing import Any
 
+from deltacharger_lab.plotting import picture
 from deltacharger_lab.reports.formats import tens
 from deltacharger_lab.reports.simulation.lean import COMPLIANCES, CONTACTS, TARGET_STEP
 from deltacharger_lab.reports.simulation.plan import MUJOCO
 from deltacharger_lab.reports.simulation.scenes import LIGHT
-from deltacharger_records.plotting import BLUE, FAINT, GREEN, ORANGE, PURPLE, picture
+from deltacharger_records.plotting import BLUE, FAINT, GREEN, ORANGE, PURPLE
 
 _COLOURS = dict(zip(COMPLIANCES, (FAINT, BLUE, GREEN, PURPLE), strict=True))
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from deltacharger_core.machine import SERVO_STIFFNESS
+from deltacharger_lab.plotting import Axes, note, picture
 from deltacharger_lab.reports.formats import tens
 from deltacharger_lab.reports.simulation.energy import PARTS
 from deltacharger_lab.reports.simulation.impact import worst
@@ -16,7 +17,7 @@ from deltacharger_lab.reports.simulation.lean_picture import remaining_yaw
 from deltacharger_lab.reports.simulation.plan import MUJOCO, MUJOCO_FAST, MUJOCO_USUAL
 from deltacharger_lab.reports.simulation.scenes import LIGHT
 from deltacharger_lab.reports.simulation.stability import DIVERGED, FORCE_LIMIT, PEAK_LIMIT
-from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, RED, Axes, note, picture
+from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, RED
 
 _COLOURS = {LIGHT: BLUE, MUJOCO: ORANGE, MUJOCO_FAST: GREEN, MUJOCO_USUAL: PURPLE}
 _FLOOR = 1e-7  # % of force error, drawn for smaller ones

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from deltacharger_lab.plotting import Axes, note, picture, plain_ticks, top_legend
 from deltacharger_lab.reports.tactile.measure import BINS
 from deltacharger_lab.reports.tactile.plan import KINDS, TARGETS, kind, title
-from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, Axes, note, picture, plain_ticks, top_legend
+from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE
 
 COLOURS = {"shallow": ORANGE, "deep": BLUE, "physical": GREEN}
 _PAPER = {"angle": ("cnn", 95.46), "vertical": ("cnn", 98.2), "horizontal": ("nn", 87.9)}

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from deltacharger_lab.plotting import Axes, picture
 from deltacharger_lab.reports.vision.conditions import (
     CONDITIONS,
     MUJOCO,
@@ -19,7 +20,7 @@ from deltacharger_lab.reports.vision.conditions import (
     members,
 )
 from deltacharger_lab.reports.vision.measure import Photographer, Sample, errors
-from deltacharger_records.plotting import BLUE, INK, RED, Axes, picture
+from deltacharger_records.plotting import BLUE, INK, RED
 from deltacharger_vision.detector.annotate import annotated
 from deltacharger_vision.detector.detector import ElectrodeDetector
 from deltacharger_vision.projection import project

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from deltacharger_lab.plotting import note, picture, plain_ticks, top_legend
 from deltacharger_lab.reports.vision import gallery
 from deltacharger_lab.reports.vision.conditions import BAND, BY_RANGE, DEFECTS, HIDDEN, SIZE, key, members
-from deltacharger_records.plotting import BLUE, FAINT, ORANGE, RED, note, picture, plain_ticks, top_legend
+from deltacharger_records.plotting import BLUE, FAINT, ORANGE, RED
 
 _ABOUT = "simulated images; "
 _ERRORS = {
