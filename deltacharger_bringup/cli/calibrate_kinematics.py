@@ -313,8 +313,7 @@ def measure(options: argparse.Namespace, geometry: DeltaGeometry) -> Result:
     prepare(options, look_around=True)
     counts = {"measured": 0, "skipped": 0}
     with Interrupts() as interrupts, ros_context() as context:
-        from deltacharger_records.datasets.arm_client import ArmClient
-        from deltacharger_records.datasets.arm_guest import ArmError
+        from deltacharger_records.datasets.arm_client import ArmClient, ArmError
 
         try:
             with ArmClient(context, geometry, options.namespace, interrupts.event) as arm:

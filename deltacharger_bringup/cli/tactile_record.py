@@ -27,13 +27,12 @@ from deltacharger_core import environment
 from deltacharger_docking.codes import Code, Rejected, Unreachable
 from deltacharger_docking.observation import DockingOutcome
 from deltacharger_kinematics.geometry import Vector
-from deltacharger_records.datasets.plan import OFFSETS_MM, REPEATS, SETS, TILTED, Part
+from deltacharger_records.datasets.session import OFFSETS_MM, REPEATS, SETS, TILTED, Part
 
 if TYPE_CHECKING:
     from deltacharger_docking.machine import DockingMachine
     from deltacharger_records.datasets.charger import RecordingCharger
-    from deltacharger_records.datasets.dataset import Docking, Settings
-    from deltacharger_records.datasets.journal import Journal
+    from deltacharger_records.datasets.journal import Docking, Journal, Settings
 
 _TRIES = 3  # at one docking with a retriable failure; other failures end the command
 _PAUSE = 3.0  # s before the next try, so that a silent device may recover
@@ -73,8 +72,7 @@ def record(options: argparse.Namespace) -> Result:
     environment.prepare()
     with _refusing():
         from deltacharger_core.mcap_file import require_mcap
-        from deltacharger_records.datasets.dataset import Settings
-        from deltacharger_records.datasets.journal import Journal
+        from deltacharger_records.datasets.journal import Journal, Settings
 
         require_mcap()
         with Journal(out) as journal:
@@ -209,7 +207,7 @@ def _record(options: argparse.Namespace, call: _Call, part: Part, settings: Sett
     """
     prepare(options, look_around=True)
     with Interrupts() as interrupts, ros_context() as context:
-        from deltacharger_records.datasets.arm_guest import ArmError
+        from deltacharger_records.datasets.arm_client import ArmError
         from deltacharger_records.datasets.charger import RecordingCharger
 
         journal, begun = call.journal, False
@@ -292,7 +290,7 @@ class _Sessions:
 
     def _session(self, numbers: Sequence[int]) -> DockingOutcome:
         """Make the dockings of these numbers; all frames are stored when this returns."""
-        from deltacharger_records.datasets.keeper import SessionKeeper
+        from deltacharger_records.datasets.charger import SessionKeeper
         from deltacharger_records.datasets.session import NotKept, TouchSession
 
         charger, settings = self._charger, self._settings

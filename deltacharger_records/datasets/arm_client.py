@@ -1,35 +1,44 @@
 # SPDX-License-Identifier: Apache-2.0
 """Move the arm of a running charger without docking_node: for measurements, not for docking.
 
-The client subscribes to servo_state and docking_state, publishes joint_trajectory, and calls set_torque. It never moves
-the arm while docking_node serves a goal or is docked.
+The clients subscribe to servo_state and docking_state, publish joint_trajectory, and call set_torque. They never move
+the arm while docking_node serves a goal or is docked. `MeasuringArm` measures servos: its goals are whole ticks, its
+angles and currents unfiltered.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import secrets
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections import deque
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from deltacharger.msg import ServoState
+from deltacharger.msg import DockingState, ServoState
 from rclpy.context import Context
 from std_srvs.srv import SetBool
+from trajectory_msgs.msg import JointTrajectory
 
 from deltacharger_core.machine import in_words
+from deltacharger_core.servos_file import STIFFNESS_MAX, STIFFNESS_MIN
 from deltacharger_docking.codes import Unreachable
 from deltacharger_docking.motion import Planner
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.ros.messages import trajectory
 from deltacharger_kinematics import DeltaGeometry
 from deltacharger_kinematics.calibration.data import TICK, Encoder
+from deltacharger_kinematics.calibration.servo_arm import ArmReadings, whole_ticks
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_records.datasets.arm_guest import ArmError, ArmGuest
+from deltacharger_kinematics.trajectory_feed import Waypoint
+from deltacharger_records.node_parameters import ParameterReader
 from deltacharger_ros import qos
+from deltacharger_ros.guest import Guest
 
 SPEED = 0.06  # m/s, peak; a person may stand close by
 STILL = 2.5 * TICK  # rad; an arm whose angles vary by less is at rest
@@ -38,6 +47,84 @@ _FEWEST = 10  # messages in that window
 _SILENCE = 1.0  # s without servo_state
 _STANDSTILL = 5.0  # s after the end of a motion
 _ANSWER = 5.0  # s for a service
+_LATE = 0.03  # s until a goal reaches the servos: transport and one bus cycle
+_PATIENCE = 2.0  # s that a reading may wait beyond its end for its first message
+
+
+class ArmError(RuntimeError):
+    """The arm cannot be moved, or no longer; the message states why and what to do."""
+
+
+class ArmGuest(Guest, ABC):
+    """Reads docking_state; publishes joint_trajectory and calls set_torque while docking_node does not use the arm.
+
+    Args:
+        name: prefix of the node's name.
+        context: a running rclpy context.
+        namespace: of the charger.
+        stop: ends every wait when set.
+    """
+
+    def __init__(self, name: str, context: Context, namespace: str, stop: threading.Event | None) -> None:
+        super().__init__(name, context, namespace)
+        self._stop = stop or threading.Event()
+        self._docking: DockingState | None = None
+        self.node.create_subscription(DockingState, "docking_state", self._on_docking_state, qos.STATE)
+        self._publisher = self.node.create_publisher(JointTrajectory, "joint_trajectory", qos.LATEST)
+        self._torque: Any = self.node.create_client(SetBool, "set_torque", qos_profile=qos.SERVICE)
+
+    def close(self) -> None:
+        """Stop the arm, switch off the torque that this program switched on, and destroy the node. Safe to call twice.
+
+        If docking_node has started a goal, it controls arm and torque, and they stay as they are.
+        """
+        if not self._open:
+            return
+        try:
+            if not self._is_taken():
+                self._release_arm()
+        finally:
+            super().close()
+
+    @abstractmethod
+    def _release_arm(self) -> None:
+        """Stop the arm and switch off the torque if this program drives it."""
+
+    def _is_docking_known(self) -> bool:
+        """Whether docking_node has published its state, or no docking_node runs."""
+        return self._docking is not None or not self.node.count_publishers("docking_state")
+
+    def _ask(self, name: str) -> dict[str, Any]:
+        """Return a node's parameters; empty if it does not answer."""
+        reader, answers = ParameterReader(self.node, name), list[dict[str, Any]]()
+        if self._wait(reader.is_ready, _ANSWER):
+            reader.ask(answers.append)
+            self._wait(lambda: bool(answers), _ANSWER)
+        return answers[0] if answers else {}
+
+    def _is_taken(self) -> bool:
+        docking = self._docking
+        return docking is not None and (docking.state != DockingState.STATE_IDLE or docking.docked or docking.charging)
+
+    def _check_free(self) -> None:
+        if self._is_taken():
+            raise ArmError(
+                "docking_node is at work or docked and controls the arm: wait until it has finished, or run "
+                "`deltacharger undock`"
+            )
+
+    def _on_docking_state(self, message: DockingState) -> None:
+        self._docking = message
+
+    def _wait(
+        self,
+        condition: Callable[[], bool],
+        timeout: float,
+        check: Callable[[], None] | None = None,
+        patient: bool = False,
+    ) -> bool:
+        """Wait for `condition` and call `check` at each poll; unless `patient`, stop waiting when `stop` is set."""
+        return self.wait(condition, timeout, check, None if patient else self._stop)
 
 
 class ArmClient(ArmGuest):
@@ -203,3 +290,73 @@ class ArmClient(ArmGuest):
             return "servo_node does not answer set_torque"
         reply = future.result()
         return "" if reply.success else str(reply.message)
+
+
+class MeasuringArm(ArmClient):
+    """An `ArmClient` that also implements `ServoArm`."""
+
+    _goals: Vector | None = None
+    _log: tuple[list[Vector], list[Vector]] = ([], [])  # angles (rad) and currents (A) since a reading began
+
+    def parameters_of(self, name: str) -> dict[str, Any]:
+        """Return a node's parameters; empty if it does not answer."""
+        return self._ask(name)
+
+    def start(self) -> None:
+        """Switch the torque on as `ArmClient.start` does, and hold the position by known goals."""
+        here = whole_ticks(self.angles())
+        super().start()
+        self._goals = here
+        self._publish([Waypoint(_LATE, here, ())])  # type: ignore[arg-type]  # no bound: servo_node's own
+
+    def clock(self) -> float:
+        """Return the time, s."""
+        return time.monotonic()
+
+    def goals(self) -> Vector:
+        """Return the commanded angles, rad."""
+        return self._goals or whole_ticks(self.angles())
+
+    def follow(self, line: Sequence[tuple[float, Vector]], bound: Vector) -> None:
+        """Move the goals along a line, see `ServoArm`.
+
+        Raises:
+            ArmError: the arm may no longer be moved.
+        """
+        self.check()
+        self._publish([Waypoint(at, whole_ticks(goals), bound) for at, goals in line])
+        self._goals = whole_ticks(line[-1][1])
+        over = time.monotonic() + line[-1][0] + _LATE
+        self._wait(lambda: time.monotonic() >= over, math.inf, self.check)
+
+    def read(self, seconds: float) -> ArmReadings:
+        """Return the servo_state readings of the next `seconds`, at least one message.
+
+        Raises:
+            ArmError: the arm may no longer be moved.
+        """
+        with self._lock:
+            self._log = [], []
+            angles, currents = self._log
+        over = time.monotonic() + seconds
+        self._wait(lambda: time.monotonic() >= over and len(currents) > 0, seconds + _PATIENCE, self.check)
+        self.check()
+        with self._lock:
+            return ArmReadings(np.array(angles).reshape(-1, 3), np.array(currents).reshape(-1, 3))
+
+    def retire(self, stiffness: float) -> None:
+        """Move to docking's rest position; `stiffness` (N·m/rad) compensates the weight; errors as in `move`."""
+        known = min(max(stiffness, STIFFNESS_MIN), STIFFNESS_MAX)
+        self._planner = Planner(
+            dataclasses.replace(DockingParameters(), servo_stiffness=known), self._kinematics.geometry
+        )
+        self._commanded = self.position()
+        self.go_home()
+
+    def _on_servo_state(self, message: ServoState) -> None:
+        super()._on_servo_state(message)
+        if len(message.position) == len(message.current) == 3 and all(message.valid):
+            with self._lock:
+                angles, currents = self._log
+                angles.append(tuple(message.position))
+                currents.append(tuple(message.current))

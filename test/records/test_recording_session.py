@@ -19,10 +19,20 @@ from deltacharger_core.mcap_file import RecordingError
 from deltacharger_docking.codes import Busy, Code, Rejected, State, Unreachable
 from deltacharger_docking.observation import Observation, Request, Service
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_records.datasets.dataset import Docking, Settings
-from deltacharger_records.datasets.journal import Journal, Mismatch
-from deltacharger_records.datasets.plan import OFFSETS_MM, REPEATS, SETS, SUBSETS, TILTED, CommandedPose, Part
-from deltacharger_records.datasets.session import NotKept, Rested, TouchSession, check_places
+from deltacharger_records.datasets.journal import Docking, Journal, Mismatch, Settings
+from deltacharger_records.datasets.session import (
+    OFFSETS_MM,
+    REPEATS,
+    SETS,
+    SUBSETS,
+    TILTED,
+    CommandedPose,
+    NotKept,
+    Part,
+    Rested,
+    TouchSession,
+    check_places,
+)
 from deltacharger_sim.parameters import TargetParameters, WorldParameters
 from deltacharger_sim.record import Snapshot
 from deltacharger_sim.virtual.virtual_charger import VirtualCharger
