@@ -6,12 +6,13 @@ Messages stay CDR bytes; callers that have ROS decode them. Needs the package mc
 
 from __future__ import annotations
 
+import contextlib
 import io
 import os
 import shlex
 import zlib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,6 +28,7 @@ BAGS = (".mcap", ".db3", ".zstd")
 LARGEST_FILE = 2**40
 """Maximum bytes of a recording."""
 _LARGEST_RECORD = 48 * 2**20  # bytes, also of an unpacked chunk; a colour image of 4096 × 3072 px has 38 MB
+_LARGEST_HEAD = 32_768  # bytes of one record at the head of a file, as docking_recorder_node writes it
 _LARGEST_SUMMARY = 16 * 2**20  # bytes; at 80 bytes a chunk, 200 000 chunks
 _LONGEST = 300  # characters of a reason
 _NAMED_MAX = 5  # files of a folder named in an error
@@ -76,7 +78,7 @@ class McapFile:
     Attributes:
         path: the file.
         types: message type of each topic, such as std_msgs/msg/Header; '' = untyped.
-        definitions: message definition of each topic.
+        definitions: message definition of each topic as text of .msg files; '' = in another form or none.
         counts: number of messages of each topic.
         metadata: names and values in file order.
         first, last: reception of the earliest and latest message, ns since 1970; 0 if there is none.
@@ -119,7 +121,7 @@ class McapFile:
             DamagedRecording: the file is truncated or damaged from here on.
         """
         names: dict[int, str] = {}
-        for record in self._walk():
+        for record in _walk(self.path):
             kind = type(record).__name__
             if kind == "Channel" and (not topics or record.topic in topics):
                 names[record.id] = record.topic
@@ -133,7 +135,7 @@ class McapFile:
             DamagedRecording: the file is damaged before it.
             KeyError: there is none.
         """
-        for record in self._walk():
+        for record in _walk(self.path):
             if type(record).__name__ == "Attachment" and record.name == name:
                 return bytes(record.data)
         raise KeyError(name)
@@ -166,7 +168,7 @@ class McapFile:
     def _scan(self) -> None:
         schemas, topics, begun = dict[int, Any](), dict[int, str](), False
         try:
-            for record in self._walk():
+            for record in _walk(self.path):
                 begun, kind = True, type(record).__name__
                 if kind == "Schema":
                     schemas[record.id] = record
@@ -194,29 +196,51 @@ class McapFile:
 
     def _add_channel(self, channel: Any, schema: Any) -> None:
         self.types.setdefault(channel.topic, schema.name if schema else "")
-        self.definitions.setdefault(channel.topic, schema.data.decode(errors="replace") if schema else "")
+        text = schema.data.decode(errors="replace") if schema and schema.encoding == "ros2msg" else ""
+        self.definitions.setdefault(channel.topic, text)
 
-    def _walk(self) -> Iterator[Any]:
-        """Yield mcap's records from the beginning, those of chunks in place of the chunks.
 
-        Raises:
-            DamagedRecording: the file is truncated or damaged from here on.
-        """
-        from mcap.stream_reader import StreamReader
+def head_of(path: Path) -> tuple[str, str, dict[str, str]]:
+    """Return the writer that a file's header names, and name and values of the metadata right after it; '' = none.
 
-        with open_file(self.path, LARGEST_FILE) as stream:
-            how: Any = {"emit_chunks": True, "validate_crcs": True, "record_size_limit": _LARGEST_RECORD}
-            try:
-                for record in StreamReader(stream, **how).records:
-                    if type(record).__name__ == "Chunk":
-                        yield from _inside(record)
-                    else:
-                        yield record
-            except OSError:
-                raise
-            except Exception as error:  # on damage zstandard, lz4, struct and mcap raise their own errors
-                reason = f"the file is damaged from here on: {error}"[:_LONGEST] if stream.read(1) else CUT_SHORT
-                raise DamagedRecording(self.path, reason) from error
+    Reads nothing else, however large the file.
+
+    Raises:
+        RecordingError: mcap is not installed.
+        OSError: the file cannot be read.
+    """
+    require_mcap()
+    with contextlib.closing(_walk(path, _LARGEST_HEAD, unpack=False)) as records:
+        try:
+            header, about = next(records), next(records)
+        except (DamagedRecording, StopIteration):
+            return "", "", {}
+    if (type(header).__name__, type(about).__name__) != ("Header", "Metadata"):
+        return "", "", {}
+    return header.library, about.name, dict(about.metadata)
+
+
+def _walk(path: Path, largest: int = _LARGEST_RECORD, unpack: bool = True) -> Generator[Any, None, None]:
+    """Yield mcap's records from the beginning, those of chunks in place of the chunks if `unpack`.
+
+    Raises:
+        DamagedRecording: the file is truncated or damaged from here on.
+    """
+    from mcap.stream_reader import StreamReader
+
+    with open_file(path, LARGEST_FILE) as stream:
+        how: Any = {"emit_chunks": True, "validate_crcs": True, "record_size_limit": largest}
+        try:
+            for record in StreamReader(stream, **how).records:
+                if unpack and type(record).__name__ == "Chunk":
+                    yield from _inside(record)
+                else:
+                    yield record
+        except OSError:
+            raise
+        except Exception as error:  # on damage zstandard, lz4, struct and mcap raise their own errors
+            reason = f"the file is damaged from here on: {error}"[:_LONGEST] if stream.read(1) else CUT_SHORT
+            raise DamagedRecording(path, reason) from error
 
 
 def _inside(chunk: Any) -> Iterator[Any]:

@@ -231,8 +231,6 @@ class _Run:
     def carry_out(self) -> Result:
         """Dock, undock if this process started the charger, draw and report."""
         log_line(self._goal_line())
-        whose = "the running charger" if self.composition is None else f"scene '{self.scene.name}'"
-        self.recorder.run.notes["about"] = f"{whose}; {self._goal_line()}"
         printer = PhasePrinter(self.recorder.force)
         outcome = self._dock(printer)
         advice = self._advice(outcome)
@@ -264,13 +262,9 @@ class _Run:
     def _dock(self, printer: PhasePrinter) -> Outcome:
         from deltacharger_ros.client import ClientError
 
-        def on_progress(progress: Any) -> None:
-            self.recorder.on_progress(progress)
-            printer(progress)
-
         try:
             return self.client.dock(
-                self.request, on_progress, self.interrupts.event, self.options.deadline_s, self.interrupts.impatient
+                self.request, printer, self.interrupts.event, self.options.deadline_s, self.interrupts.impatient
             )
         except ClientError as error:
             raise CommandError(str(error), self.interrupts.failure) from error
@@ -300,11 +294,12 @@ class _Run:
     def _draw(self) -> str | None:
         if self.options.no_picture:
             return None
-        from deltacharger_records.replay.run_picture import PictureError, draw
+        from deltacharger_records.replay.picture import PictureError, draw
 
         path = Path(self.options.picture)
+        whose = "the running charger" if self.composition is None else f"scene '{self.scene.name}'"
         try:
-            draw(self.recorder.run, path)
+            draw(self.recorder.run, path, f"{whose}; {self._goal_line()}")
         except PictureError as error:
             log_line(f"no picture: {error}")
             return None

@@ -19,8 +19,7 @@ from deltacharger_bringup.cli.output import (
 )
 from deltacharger_core import environment, streams
 from deltacharger_core.mcap_file import BAGS, McapFile, RecordingError
-from deltacharger_records.recording.folder import END
-from deltacharger_records.recording.own import ABOUT, PARTIAL, look
+from deltacharger_records.recording.folder import ABOUT, END, PARTIAL, problem_of
 
 _STATE = "deltacharger/msg/DockingState"
 
@@ -48,20 +47,21 @@ def _file(options: argparse.Namespace, path: Path) -> Result:
         raise CommandError(f"ROS 2 or the built interfaces are missing ({error}): install the package") from error
 
     picture = picture_to_write(options.picture) if options.picture else None
-    found = read(path, options.namespace or None)
+    found = read(path, options.namespace)
     lines, closing = story(found), why(found)
     if picture is not None:
-        from deltacharger_records.replay.picture import draw
-        from deltacharger_records.replay.run_picture import PictureError
+        from deltacharger_records.replay.picture import PictureError, draw
 
+        scene = found.about.get("scene", "")
+        about = (_when(found.began_ns), found.request_id, f"scene {scene}" if scene else "")
         try:
-            draw(found, picture)
+            draw(found, picture, "   ·   ".join(filter(None, about)))
         except PictureError as error:
             raise CommandError(f"no picture: {error}") from error
         log_line(f"picture: {picture}")
-    head = [f"{_when(found.began)}  {streams.plain(found.request_id) or 'no request id'}  {found.outcome()['name']}"]
-    if found.recording.damage:
-        head.append(f"incomplete: {found.recording.damage}")
+    head = [f"{_when(found.began_ns)}  {streams.plain(found.request_id) or 'no request id'}  {found.outcome()['name']}"]
+    if found.damage:
+        head.append(f"incomplete: {found.damage}")
     details = {"story": lines, "why": closing, "picture": str(picture) if picture else None}
     return Result("\n".join([*head, *lines, "", closing]), {**found.as_dict(), **details})
 
@@ -91,7 +91,7 @@ def _entry(path: Path) -> dict[str, Any]:
     entry: dict[str, Any] = {"file": path.name, "bytes": 0, "problem": "", "left_alone": ""}
     nothing = {"time": math.nan, "duration": math.nan, "outcome": "", "request_id": ""}
     try:
-        entry |= {"bytes": path.stat().st_size, "left_alone": look(path).problem}
+        entry |= {"bytes": path.stat().st_size, "left_alone": problem_of(path)}
         file = McapFile(path)
         states = [topic for topic, kind in file.types.items() if kind == _STATE]
         if not any(file.counts[topic] for topic in states):

@@ -149,8 +149,7 @@ def _open(
 
         animation = Animation(geometry)
         return ViewFeed(animation, geometry, parameters), partial(_draw, animation, Path(options.save))
-    from deltacharger_records.view.blueprint import blueprint
-    from deltacharger_records.view.log import ViewLog
+    from deltacharger_records.view.log import ViewLog, blueprint
 
     recording = rr.RecordingStream("deltacharger")
     layout = blueprint(live=options.recording is None and options.save is None)
@@ -235,8 +234,7 @@ def mount_of(scene: Scene) -> NDArray[np.float64]:
 def _show_charger(rr: Any, options: argparse.Namespace) -> Result:
     scene = prepare(options, look_around=True)
     with Interrupts() as interrupts, ros_context() as context:
-        from deltacharger_records.view.feed import COLOR_IMAGE, TOPICS
-        from deltacharger_records.view.sources import Listener
+        from deltacharger_records.view.feed import COLOR_IMAGE, TOPICS, Listener
 
         feed, complete = _open(rr, options, scene)
         topics = [topic for topic in TOPICS if options.camera or topic.name != COLOR_IMAGE]
@@ -275,16 +273,19 @@ def _show_recording(rr: Any, options: argparse.Namespace) -> Result:
     scene = load_for_command(options.scene or DEFAULT_SCENE)
     environment.prepare()
     from deltacharger_core.mcap_file import RecordingError
-    from deltacharger_records.view.sources import ShownRecording
+    from deltacharger_records.node_parameters import recorded_settings
+    from deltacharger_records.recording.mcap_recording import Recording
+    from deltacharger_records.view.feed import TOPICS, play
 
     began = time.monotonic()
     with wrong_input(RecordingError):
-        recorded = ShownRecording(Path(options.recording), options.namespace)
+        recording = Recording(Path(options.recording), options.namespace, TOPICS, states=False)
+        settings = recorded_settings(recording.file)
         with Interrupts() as interrupts:
-            own = recorded.settings if options.scene is None else None
+            own = settings if options.scene is None else None
             feed, complete = _open(rr, options, scene, own)
             try:
-                recorded.play(feed, interrupts.event.is_set)
+                play(recording, feed, interrupts.event.is_set)
                 if options.web is not None:
                     log_line("shown; Ctrl-C ends the viewer")
                     interrupts.event.wait()

@@ -1,11 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write one record per docking, from shortly before its goal until the arm is home. Uses ROS messages only."""
+"""Write one record per docking, from shortly before its goal until the arm is home. Uses ROS messages only.
+
+`Session` decides from docking_state when a record begins, is quiet and ends; `Gate` selects the messages to keep: all
+around events, few during hours of charging. The caller passes the time (s, monotonic), so that tests cover hours in a
+moment; written messages keep their own times.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Iterable, Iterator, Mapping
+import math
+from collections import Counter, deque
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -15,19 +22,208 @@ from rclpy.serialization import deserialize_message
 from deltacharger_core.files import flush
 from deltacharger_core.mcap_file import Raw, RecordingError
 from deltacharger_core.texts import REQUEST_ID_MAX, cut
-from deltacharger_docking.codes import Code
+from deltacharger_docking.codes import Code, State
 from deltacharger_records.node_parameters import with_geometry
-from deltacharger_records.recording.docking_topics import ALWAYS, DECISION, STATE
-from deltacharger_records.recording.folder import END, PARAMETERS, RESULT, RecordFolder
-from deltacharger_records.recording.gate import Gate
-from deltacharger_records.recording.mcap_recording import McapStream, pack
-from deltacharger_records.recording.own import ABOUT, head
-from deltacharger_records.recording.session import Seen, Session
+from deltacharger_records.recording.folder import ABOUT, END, PARAMETERS, RESULT, RecordFolder, head
+from deltacharger_records.recording.mcap_recording import ALWAYS, DECISION, STATE, McapStream, pack
 from deltacharger_ros.outcomes import Outcome
 from deltacharger_ros.raw_topics import Topic
 
 _FLUSH = 1.0  # s of messages that a killed recorder loses at most
 _PRUNE = 10.0  # s between checks of the folder's size while recording
+TAIL = 1.0  # s after the arm is home: result, status and last frames still belong to the docking
+LOST_AFTER = 5.0  # s without a publisher of docking_state
+_HELD_MAX = 16 * 2**20  # bytes kept in memory, at any rates
+_STRETCH = 3600  # messages of a topic after which a quiet stretch is thinned more and more
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Content of docking_state."""
+
+    state: int
+    docked: bool
+    charging: bool
+    code: int
+    message: str
+    request_id: str
+
+    @property
+    def at_home(self) -> bool:
+        """Whether nothing is in progress."""
+        return self.state == State.IDLE and not self.docked
+
+    @property
+    def quiet(self) -> bool:
+        """Whether this state may last for hours."""
+        return self.docked and self.state in (State.CHARGING, State.IDLE)
+
+
+class Session:
+    """Consecutive dockings, as docking_state reports them.
+
+    Attributes:
+        last: newest docking_state.
+        under_way: whether a docking is being recorded.
+        went_out: whether the arm did more than return home.
+        arrived: whether it docked.
+    """
+
+    def __init__(self) -> None:
+        self.last: Seen | None = None
+        self.under_way = self.went_out = self.arrived = False
+        self._home_since = math.inf
+        self._lost_since = math.inf
+        self._kinds: set[str] = set()
+
+    def begins(self, seen: Seen) -> bool:
+        """Whether docking_state belongs to a docking that is not recorded yet."""
+        return not seen.at_home and (not self.under_way or self._home_since < math.inf)
+
+    def begin(self) -> None:
+        """Note that a record has begun."""
+        self.under_way, self.went_out, self.arrived = True, False, False
+        self._home_since = self._lost_since = math.inf
+
+    def end(self) -> None:
+        """Note that the record has ended."""
+        self.under_way = False
+        self._home_since = math.inf
+
+    def see(self, now: float, seen: Seen) -> None:
+        """Take docking_state."""
+        if self.last is None or (seen.state, seen.docked) != (self.last.state, self.last.docked):
+            self._kinds = set()
+        self.last = seen
+        self.went_out |= seen.docked or seen.state not in (State.IDLE, State.RETRACT)
+        self.arrived |= seen.docked
+        self._home_since = min(self._home_since, now) if seen.at_home else math.inf
+
+    def is_news(self, kind: str) -> bool:
+        """Whether a decision is the first of its kind in the present state; routine decisions are not events."""
+        known = kind in self._kinds
+        self._kinds.add(kind)
+        return not known
+
+    def note_publisher(self, now: float, alive: bool) -> None:
+        """Note whether docking_state has a publisher."""
+        self._lost_since = math.inf if alive else min(self._lost_since, now)
+
+    def is_over(self, now: float) -> bool:
+        """Whether the record is complete."""
+        return self.under_way and (now - self._home_since >= TAIL or now - self._lost_since >= LOST_AFTER)
+
+
+class Gate:
+    """Takes every message and returns those to write, in order.
+
+    Closed, it holds the last seconds. Open, it passes all messages. In a quiet stretch it holds the last seconds and
+    passes few older messages: `rate` a second of each topic, and after an hour's worth fewer and fewer, so that their
+    number grows with the logarithm of time. At an event it passes everything that it holds.
+
+    Args:
+        before: s to hold.
+        rate: messages of each topic per second in a quiet stretch.
+        budget: bytes of one record; beyond it only the topics in `always` pass.
+        always: topics of which every message passes.
+
+    Attributes:
+        dropped: messages of each topic dropped since `open`.
+    """
+
+    def __init__(self, before: float, rate: float, budget: int, always: Collection[str]) -> None:
+        self._before = before
+        self._period = 1.0 / rate
+        self._budget = budget
+        self._always = frozenset(always)
+        self._held: deque[tuple[float, Raw]] = deque()
+        self._bytes = 0
+        self._waiting = 0  # number of the newest held messages, neither passed nor dropped yet
+        self._open = False
+        self._quiet_since: float | None = None
+        self._all_until = 0.0
+        self._last: dict[str, float] = {}
+        self._passed = 0
+        self.dropped: Counter[str] = Counter()
+
+    def open(self) -> list[Raw]:
+        """Begin a record; return the held messages."""
+        self._open, self._quiet_since, self._passed = True, None, 0
+        self.dropped = Counter()
+        self._waiting = len(self._held)
+        return self._all()
+
+    def close(self) -> list[Raw]:
+        """End the record; return the waiting messages. The last seconds stay held for the next record."""
+        rest = self._all() if self._open else []
+        self._open = False
+        return rest
+
+    def rest(self, now: float) -> None:
+        """Begin a quiet stretch: no event has occurred for the held seconds. No effect during one."""
+        if self._quiet_since is None:
+            self._quiet_since, self._all_until = now, now + self._before
+            self._last = {}
+
+    def wake(self) -> None:
+        """End the quiet stretch."""
+        self._quiet_since = None
+
+    def stir(self, now: float) -> None:
+        """Report an event: everything held and what follows is kept."""
+        self._all_until = now + self._before
+
+    def offer(self, now: float, message: Raw) -> list[Raw]:
+        """Take a message received at `now`; return the messages to write."""
+        self._held.append((now, message))
+        self._bytes += len(message.data)
+        self._waiting += 1
+        if not self._open:
+            self._waiting = 0
+            written: list[Raw] = []
+        elif self._quiet_since is None or now < self._all_until:
+            written = self._all()
+        else:
+            written = self._few(now, self._quiet_since)
+        self._forget(now)
+        return written
+
+    def _all(self) -> list[Raw]:
+        start = len(self._held) - self._waiting
+        self._waiting = 0
+        return [message for _, message in list(self._held)[start:] if self._affords(message)]
+
+    def _few(self, now: float, since: float) -> list[Raw]:
+        written = []
+        while self._waiting and self._held[-self._waiting][0] <= now - self._before:
+            time, message = self._held[-self._waiting]
+            self._waiting -= 1
+            period = max(self._period, (time - since) / _STRETCH)
+            if message.topic in self._always or time - self._last.get(message.topic, -float("inf")) >= period:
+                self._last[message.topic] = time
+                if self._affords(message):
+                    written.append(message)
+            else:
+                self.dropped[message.topic] += 1
+        return written
+
+    def _affords(self, message: Raw) -> bool:
+        if self._passed > self._budget and message.topic not in self._always:
+            self.dropped[message.topic] += 1
+            return False
+        self._passed += len(message.data)
+        return True
+
+    def _forget(self, now: float) -> None:
+        while self._held:
+            old = self._held[0][0] < now - self._before and len(self._held) > self._waiting
+            if not old and self._bytes <= _HELD_MAX:
+                return
+            _, message = self._held.popleft()
+            self._bytes -= len(message.data)
+            if self._waiting > len(self._held):
+                self._waiting = len(self._held)
+                self.dropped[message.topic] += 1
 
 
 @dataclass
@@ -42,14 +238,12 @@ class _File:
 class DockingRecorder:
     """Takes every message of the recorded topics and writes each docking to a separate file.
 
-    Times are s, monotonic; written messages keep their own times.
-
     Args:
-        folder: of the records.
-        gate: selects the messages to keep; built by `gate_for`.
-        names: full name by relative one.
+        folder: of the records; one record takes at most half of its bytes.
         topics: by their full names.
         about: metadata of every record: version, scene, namespace.
+        before: s kept before an event.
+        rate: messages of each topic per second, kept while charging.
 
     Attributes:
         problem: why the current docking is not recorded, or no longer; '' = it is.
@@ -58,14 +252,15 @@ class DockingRecorder:
     def __init__(
         self,
         folder: RecordFolder,
-        gate: Gate,
-        names: Mapping[str, str],
         topics: Mapping[str, Topic],
         about: Mapping[str, str],
+        before: float,
+        rate: float,
     ) -> None:
+        names = {topic.name: full for full, topic in topics.items()}
         self.problem = ""
         self._folder = folder
-        self._gate = gate
+        self._gate = Gate(before, rate, folder.max_bytes // 2, [names[name] for name in ALWAYS])
         self._state, self._decision = names[STATE], names[DECISION]
         self._topics = topics
         self._about = about
@@ -79,11 +274,6 @@ class DockingRecorder:
     def path(self) -> Path | None:
         """The file being written, or None."""
         return self._file.path if self._file is not None else None
-
-    @property
-    def passed_by(self) -> Mapping[str, str]:
-        """Files in the folder that are named like records but left alone: the reason by name."""
-        return self._folder.passed_by
 
     def take(self, now: float, message: Raw) -> None:
         """Take one message; an unreadable one, as a foreign node may send it, is left out."""
@@ -180,12 +370,7 @@ class DockingRecorder:
                 if last.at_home and not (self._code or self._session.went_out):  # an undock without a docking
                     self._folder.forget(file.path, file.stream)
                 else:
-                    path = self._folder.finish(file.path, file.stream, ending)
-                    with (
-                        contextlib.suppress(OSError, RecordingError),  # then the record stays unpacked
-                        self._folder.rewriting(path, file.stream) as packed,
-                    ):
-                        pack(path, packed, self._topics)
+                    self._folder.finish(file.path, file.stream, ending, lambda new: pack(file.path, new, self._topics))
                 file.stream.close()
                 self._folder.prune()
         self._file = None
@@ -230,15 +415,3 @@ class DockingRecorder:
                 file.mcap.flush()
             with contextlib.suppress(OSError):
                 file.stream.close()
-
-
-def gate_for(names: Mapping[str, str], before: float, rate: float, folder_bytes: int) -> Gate:
-    """Return the gate of a recorder.
-
-    Args:
-        names: full name by relative one.
-        before: s kept before an event.
-        rate: messages of each topic per second, kept while charging.
-        folder_bytes: limit of the folder; one record takes at most half of it.
-    """
-    return Gate(before, rate, folder_bytes // 2, [names[name] for name in ALWAYS])

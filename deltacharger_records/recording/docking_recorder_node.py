@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """docking_recorder_node: one MCAP file per docking in a bounded folder.
 
-Subscribes to a record's topics (docking_topics), undecoded. Requests the results of all dock and undock goals, and
-docking_node's parameters. Publishes /diagnostics. It commands nothing: a full disk, an unwritable folder, a missing
+Subscribes to a record's topics (mcap_recording.TOPICS), undecoded. Requests the results of all dock and undock goals,
+and docking_node's parameters. Publishes /diagnostics. It commands nothing: a full disk, an unwritable folder, a missing
 library or its own end never affects docking. One thread reads the topics and writes.
 """
 
@@ -25,10 +25,9 @@ from deltacharger_core.mcap_file import Raw, RecordingError, require_mcap
 from deltacharger_core.version import package_version
 from deltacharger_records.node_parameters import ParameterReader
 from deltacharger_records.parameters import DockingRecorderNodeParameters
-from deltacharger_records.recording.docking_recorder import DockingRecorder, gate_for
-from deltacharger_records.recording.docking_topics import ACTIONS, STATE, TOPICS
+from deltacharger_records.recording.docking_recorder import DockingRecorder
 from deltacharger_records.recording.folder import RecordFolder
-from deltacharger_records.recording.mcap_recording import schema_text
+from deltacharger_records.recording.mcap_recording import ACTIONS, STATE, TOPICS, schema_text
 from deltacharger_ros import node_support
 from deltacharger_ros.diagnostics import ERROR, OK, Diagnostics
 from deltacharger_ros.log import Log
@@ -41,7 +40,7 @@ _POLL = 0.02  # s between reads of the topics
 _TICK = 0.2  # s between calls of the recorder's `tick`
 _DIAGNOSTICS = 1.0  # s
 _GOALS_MAX = 100  # goals whose results were requested
-_NAMED_MAX = 10  # files left alone: logged in total, and named in one message
+_NAMED_MAX = 10  # files left alone that are named
 _ID = slice(4, 20)  # of the goal's id in a feedback's CDR, after the encapsulation header
 
 
@@ -53,16 +52,14 @@ class DockingRecorderNode(Node):
         self._log = Log(self)
         given = declare_all(self, DockingRecorderNodeParameters)
         reject_unknown(self)
-        self._folder_path = given_path(given.folder)
-        largest = given.max_megabytes * 10**6
+        self._folder = RecordFolder(given_path(given.folder), given.max_files, given.max_megabytes * 10**6)
         environment.prepare()
-        names = {topic.name: self.resolve_topic_name(topic.name) for topic in TOPICS}
         self._recorder = DockingRecorder(
-            RecordFolder(self._folder_path, given.max_files, largest),
-            gate_for(names, given.before, given.charging_rate, largest),
-            names,
-            {names[topic.name]: topic for topic in TOPICS},
+            self._folder,
+            {self.resolve_topic_name(topic.name): topic for topic in TOPICS},
             {"version": package_version(), "scene": given.scene, "namespace": self.get_namespace()},
+            given.before,
+            given.charging_rate,
         )
         try:
             require_mcap()
@@ -71,9 +68,8 @@ class DockingRecorderNode(Node):
         except RecordingError as error:
             self._recorder.fail(error)
             self._log.error(self._recorder.problem)
-        self._state = names[STATE]
-        self._feedback = {names[f"{action}/_action/feedback"]: action for action in ACTIONS}
-        self._named: set[str] = set()
+        self._state = self.resolve_topic_name(STATE)
+        self._feedback = {self.resolve_topic_name(f"{action}/_action/feedback"): action for action in ACTIONS}
         self._asked: deque[bytes] = deque(maxlen=_GOALS_MAX)
         self._received: deque[Callable[[], None]] = deque()
         self._stopping = threading.Event()
@@ -162,21 +158,13 @@ class DockingRecorderNode(Node):
             text = f"recording {recorder.path.name}"
         if recorder.problem:
             level, text = ERROR, recorder.problem
-        left_alone = [f"{name!a}: {why}" for name, why in recorder.passed_by.items()]
-        for each in left_alone[:_NAMED_MAX]:
-            if each not in self._named and len(self._named) < _NAMED_MAX:
-                self._named.add(each)
-                self._log.warning(f"not managed in {self._folder_path}: {each}")
-        self._diagnostics.report(
-            level,
-            text,
-            {
-                "folder": self._folder_path,
-                "left_alone": "; ".join(left_alone[:_NAMED_MAX]),
-                "left_alone_count": len(left_alone),
-            },
-            "recording",
-        )
+        left_alone = [f"{name!a}: {why}" for name, why in self._folder.passed_by.items()]
+        values = {
+            "folder": self._folder.path,
+            "left_alone": "; ".join(left_alone[:_NAMED_MAX]),
+            "left_alone_count": len(left_alone),
+        }
+        self._diagnostics.report(level, text, values, "recording")
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """recording_player_node: play a recorded docking on its original topics.
 
-Publishes each recorded topic (docking_topics) under its relative name, and /diagnostics (1 Hz, and at the end).
+Publishes each recorded topic (mcap_recording.TOPICS) under its relative name, and /diagnostics (1 Hz, and at the end).
 Stamps are shifted so that every message is as old as when it was received.
 Parameters: file, charger, delay, rate, loop.
 
@@ -24,8 +24,7 @@ from deltacharger_core import environment
 from deltacharger_core.bounded_file import given_path
 from deltacharger_core.mcap_file import CUT_SHORT, RecordingError
 from deltacharger_records.parameters import RecordingPlayerNodeParameters
-from deltacharger_records.recording.docking_topics import STATE, TOPICS
-from deltacharger_records.replay.file import Recording
+from deltacharger_records.recording.mcap_recording import STATE, TOPICS, Recording, decode
 from deltacharger_ros import node_support
 from deltacharger_ros.clock import steady_timer
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
@@ -77,8 +76,6 @@ class RecordingPlayerNode(Node):
         recording = self._recording
         whose = f" of {recording.namespace}" if recording.namespace != "/" else ""
         self.get_logger().info(f"playing {recording.path}{whose}: {self._length():.1f} s of {', '.join(self._played)}")
-        for name, why in recording.unreadable.items():
-            self.get_logger().warning(f"{name} is not played: {why}")
         if recording.damage:
             self.get_logger().warning(f"{recording.path}: {recording.damage}; it is played up to there")
 
@@ -105,18 +102,18 @@ class RecordingPlayerNode(Node):
     def _play(self) -> bool:
         """Publish the recording once; return whether it reached the end."""
         started = time.monotonic()
-        for name, received, data in self._recording.messages():
+        for topic, received, data in self._recording.messages():
             due = started + 1e-9 * (received - self._first) / self._given.rate
-            if not self._wait(due, name == _COMMANDS):
+            if not self._wait(due, topic.name == _COMMANDS):
                 return False
-            message = self._recording.decoded(name, data)
+            message = decode(data, topic.kind)
             late = round(1e9 * (time.monotonic() - due))
             shift = self.get_clock().now().nanoseconds - late - received
             for stamp in _stamps(message):
                 moved = max(0, stamp.sec * 10**9 + stamp.nanosec + shift)
                 stamp.sec, stamp.nanosec = divmod(moved, 10**9)
             if self.context.ok():
-                self._played[name].publish(message)
+                self._played[topic.name].publish(message)
             self._place = received
             self._count += 1
         return True
@@ -172,7 +169,7 @@ def _survey(file: str, charger: str) -> tuple[Recording, int, int]:
         )
     path = given_path(file)
     try:
-        recording = Recording(path, charger or None)
+        recording = Recording(path, charger)
         times = [received for _, received, _ in recording.messages()]
     except FileNotFoundError as error:
         raise node_support.StartupError(f"{who}: {path}: there is no such file") from error

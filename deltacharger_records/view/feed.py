@@ -1,28 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Convert a charger's messages to the view's plain values, at limited rates."""
+"""A charger's messages, from its topics or a recording, as the view's plain values, at limited rates."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
+from rclpy.context import Context
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Image
 
+from deltacharger_core.mcap_file import RecordingError
 from deltacharger_docking.contact_current import ContactCurrent
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_records.quantities import numbers
-from deltacharger_records.recording.docking_topics import DECISION, STATE
-from deltacharger_records.recording.docking_topics import TOPICS as RECORDED
+from deltacharger_records.recording.mcap_recording import DECISION, STATE, Recording, decode
+from deltacharger_records.recording.mcap_recording import TOPICS as RECORDED
+from deltacharger_records.replay.words import numbers
 from deltacharger_records.view.animation import Animation
 from deltacharger_records.view.log import ViewLog
-from deltacharger_records.view.pictures import pad_picture
+from deltacharger_records.view.shapes import pad_picture
 from deltacharger_ros import qos
+from deltacharger_ros.guest import Guest
 from deltacharger_ros.messages import CODES, PHASES
-from deltacharger_ros.raw_topics import Topic
+from deltacharger_ros.raw_topics import PolledTopics, Topic
 
 SERVOS, PADS, POWER, FELT, SEEN = (
     "servo_state", "tactile_frame", "charger_power", "misalignment", "electrode_detection",
@@ -198,3 +203,40 @@ def status_page(message: Any, phase: str, failure: str) -> str:
     if failure:
         lines += ["", f"last failure: {failure}"]
     return "\n".join(lines)
+
+
+class Listener(Guest):
+    """Subscribes, and passes messages to a feed; messages that are not displayed are not even decoded.
+
+    It uses no executor: at 300 messages a second, that costs more than displaying them, and latency does not matter.
+
+    Args:
+        context: a running rclpy context.
+        namespace: of the charger.
+        topics: relative names; their queues must hold the messages between two polls.
+    """
+
+    def __init__(self, context: Context, namespace: str, topics: Sequence[Topic]) -> None:
+        super().__init__("charger_view", context, namespace)
+        self._topics = PolledTopics(self.node, topics)
+        self._by_name = {self.node.resolve_topic_name(topic.name): topic for topic in topics}
+
+    def hand(self, feed: ViewFeed) -> None:
+        """Pass all messages since the last call to `feed`, in the order of arrival."""
+        for message in self._topics.take():
+            topic = self._by_name[message.topic]
+            feed.take(topic.name, message.received, partial(deserialize_message, message.data, topic.kind))
+
+
+def play(recording: Recording, feed: ViewFeed, stop: Callable[[], bool]) -> None:
+    """Pass every message to `feed` at full speed, until `stop`.
+
+    Raises:
+        RecordingError: the file is damaged or truncated.
+    """
+    for topic, received, data in recording.messages():
+        if stop():
+            return
+        feed.take(topic.name, received, partial(decode, data, topic.kind))
+    if recording.damage:
+        raise RecordingError(f"{recording.path}: {recording.damage}")

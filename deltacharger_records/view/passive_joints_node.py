@@ -23,7 +23,7 @@ from deltacharger_core.frames import CHARGER_BASE, JointFrameParameters
 from deltacharger_kinematics.ros.geometry_parameters import declare_geometry
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_records.parameters import PassiveJointsNodeParameters
-from deltacharger_records.view.mechanism import passive_joints
+from deltacharger_records.view.shapes import passive_joints
 from deltacharger_ros import node_support, qos
 from deltacharger_ros.parameters import declare_all, reject_unknown
 

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The charger as boxes and lines in charger_base, for the live view; independent of drawing libraries.
+"""What is drawn of a charger, independent of drawing libraries: joints, boxes and lines, pads as pictures.
 
-Shapes as in urdf/deltacharger.urdf.xacro; the paper gives no drawing. Colours are red, green, blue, 0 to 255.
+Positions are in charger_base unless a docstring names another frame. Dimensions that kinematics does not use are as in
+urdf/deltacharger.urdf.xacro; the paper gives no drawing. Colours are red, green, blue, 0 to 255.
 """
 
 from __future__ import annotations
@@ -11,14 +12,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from deltacharger_core.arrays import Array
 from deltacharger_core.machine import PAD_DISTANCE
-from deltacharger_kinematics.geometry import LIMB_COUNT, LIMB_DIRECTIONS, DeltaGeometry
-from deltacharger_records.view.mechanism import ROD_SPACING, SIDES, elbows, feet, motors, rods
+from deltacharger_kinematics.geometry import LIMB_COUNT, LIMB_DIRECTIONS, DeltaGeometry, Limb, Vector
+from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_vision.terminal import Terminal
 
 Color = tuple[int, int, int]
+Picture = NDArray[np.uint8]
+
+ROD_SPACING = 0.040
+"""Distance of a limb's two rods, m (assumed; kinematics does not use it)."""
+SIDES = (("left", 0.5), ("right", -0.5))
+"""The rods of a limb: name, and position along its tangent in units of ROD_SPACING."""
 
 ORANGE: Color = (242, 130, 33)
 ALUMINIUM: Color = (170, 178, 190)
@@ -39,6 +47,109 @@ _PAD = (0.024, 0.024, 0.006)
 _POST_BACK = 0.0105  # of the posts behind the joints that they carry, inward, where no rod leans
 _CAMERA = (0.036, 0.036, 0.025)  # assumed; limb 1 leaves no room for a wide one at the usual mount
 _TARGET_PLATE = (0.200, 0.120, 0.005)
+
+FULL = 9.0
+"""Force on a taxel at the end of the scale, N: the range of the published sensor."""
+NOISE = 0.25
+"""Smaller forces (N) are shown as 0, as for the estimator; else the noise of free air would be transmitted."""
+DEAD = (148, 154, 160)
+"""Colour of a dead taxel."""
+_SHADES = 90  # steps of 0.1 N
+_ANCHORS = (  # closer at small forces: a docked pad carries about 2 N on its strongest taxel
+    (0.00, (18, 20, 26)),
+    (0.05, (46, 24, 92)),
+    (0.13, (142, 36, 130)),
+    (0.24, (229, 80, 82)),
+    (0.50, (252, 165, 74)),
+    (1.00, (252, 248, 196)),
+)
+
+
+def motors(geometry: DeltaGeometry) -> Array:
+    """Return the centres of the motor axes (3 limbs, 3) m in charger_base."""
+    limbs = [geometry.limb(index) for index in range(LIMB_COUNT)]
+    return np.array(
+        [
+            _around(limb, limb.base_radius + limb.radius_offset, limb.tangential_offset, -limb.motor_height)
+            for limb in limbs
+        ]
+    )
+
+
+def elbows(geometry: DeltaGeometry, angles: Sequence[float]) -> Array:
+    """Return the centres of the elbow axes (3 limbs, 3) m in charger_base.
+
+    Args:
+        geometry: dimensions.
+        angles: commanded arm angles, rad.
+    """
+    found = motors(geometry)
+    for index, angle in enumerate(angles):
+        limb = geometry.limb(index)
+        true = angle + limb.angle_offset
+        found[index] += _around(limb, limb.arm * math.cos(true), 0.0, limb.arm * math.sin(true))
+    return found
+
+
+def feet(geometry: DeltaGeometry) -> Array:
+    """Return the centres of the platform's joint axes (3 limbs, 3) m in end_effector."""
+    limbs = [geometry.limb(index) for index in range(LIMB_COUNT)]
+    return np.array([_around(limb, limb.platform_radius, 0.0, 0.0) for limb in limbs])
+
+
+def rods(geometry: DeltaGeometry, angles: Sequence[float], position: Sequence[float]) -> Array:
+    """Return both ends, elbow first, of the six rods (6, 2, 3) m in charger_base, limb by limb, left before right.
+
+    Args:
+        geometry: dimensions.
+        angles: commanded arm angles, rad.
+        position: of end_effector, m in charger_base.
+    """
+    begin, end = elbows(geometry, angles), feet(geometry) + np.asarray(position, dtype=float)
+    found = []
+    for index in range(LIMB_COUNT):
+        for _, share in SIDES:
+            aside = _around(geometry.limb(index), 0.0, share * ROD_SPACING, 0.0)
+            found.append((begin[index] + aside, end[index] + aside))
+    return np.array(found)
+
+
+def rod_angles(geometry: DeltaGeometry, index: int, position: Vector, angle: float) -> tuple[float, float]:
+    """Return the two angles (rad) of a limb's universal joint for a platform position (m) and arm angle (rad)."""
+    limb = geometry.limb(index)
+    x, y, z = position
+    u = x * limb.cosine + y * limb.sine - limb.difference
+    v = y * limb.cosine - x * limb.sine - limb.tangential_offset
+    w = z + limb.motor_height
+    true = angle + limb.angle_offset
+    pitch = math.atan2(w - limb.arm * math.sin(true), u - limb.arm * math.cos(true))
+    return pitch - true, math.asin(max(-1.0, min(1.0, v / limb.rod)))
+
+
+def passive_joints(delta: ScalarDelta, angles: Sequence[float]) -> dict[str, float]:
+    """Return the URDF's passive joint values (m, rad) by name, except joints that mimic another.
+
+    Args:
+        delta: kinematics of the arm.
+        angles: commanded arm angles, rad.
+
+    Returns:
+        Empty if forward kinematics has no solution.
+    """
+    position = delta.forward(*angles)
+    if not all(math.isfinite(value) for value in position):
+        return {}
+    values = {f"platform_{axis}_joint": value for axis, value in zip("xyz", position, strict=True)}
+    for index, angle in enumerate(angles):
+        pitch, swing = rod_angles(delta.geometry, index, position, angle)
+        values[f"limb_{index}_rod_left_pitch_joint"] = math.remainder(pitch, 2.0 * math.pi)
+        values[f"limb_{index}_rod_left_swing_joint"] = swing
+    return values
+
+
+def _around(limb: Limb, radial: float, tangential: float, height: float) -> Array:
+    cosine, sine = limb.cosine, limb.sine
+    return np.array([radial * cosine - tangential * sine, radial * sine + tangential * cosine, height])
 
 
 @dataclass
@@ -132,3 +243,33 @@ def moving(geometry: DeltaGeometry, angles: Sequence[float], position: Sequence[
         position: of end_effector, m in charger_base.
     """
     return np.stack([motors(geometry), elbows(geometry, angles)], axis=1), rods(geometry, angles, position)
+
+
+def _scale() -> Picture:
+    places, colours = zip(*_ANCHORS, strict=True)
+    shares = np.linspace(0.0, 1.0, _SHADES + 1)
+    channels = [np.interp(shares, places, [colour[each] for colour in colours]) for each in range(3)]
+    return np.round(np.stack(channels, axis=1)).astype(np.uint8)
+
+
+_SCALE = _scale()
+
+
+def pad_picture(forces: ArrayLike, rows: int, columns: int) -> Picture:
+    """Return one pad (rows, columns, 3) as seen along +z at the target: +x to the left, +y up.
+
+    Args:
+        forces: (rows · columns,) N, row-major, row 0 at +y, column 0 at +x; NaN = dead taxel.
+        rows: of taxels.
+        columns: of taxels.
+
+    Raises:
+        ValueError: the number of forces differs from rows · columns.
+    """
+    values = np.asarray(forces, dtype=np.float64).reshape(rows, columns)
+    dead = np.isnan(values)
+    shown = np.where(values >= NOISE, np.minimum(values, FULL), 0.0)
+    shade = np.rint(shown * (_SHADES / FULL)).astype(np.intp)
+    picture = _SCALE[shade]
+    picture[dead] = DEAD
+    return picture

@@ -17,10 +17,8 @@ from rclpy.serialization import serialize_message
 
 from deltacharger_core.mcap_file import Raw
 from deltacharger_docking.codes import Code, State
-from deltacharger_records.recording.docking_topics import TOPICS
-from deltacharger_records.recording.folder import PARAMETERS, RESULT
-from deltacharger_records.recording.mcap_recording import McapWriter
-from deltacharger_records.recording.own import ABOUT
+from deltacharger_records.recording.folder import ABOUT, PARAMETERS, RESULT
+from deltacharger_records.recording.mcap_recording import TOPICS, McapWriter
 from deltacharger_ros.outcomes import Outcome
 from deltacharger_ros.raw_topics import Topic
 from deltacharger_ros.unknown import unknown_misalignment

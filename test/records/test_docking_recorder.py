@@ -26,12 +26,9 @@ from deltacharger.msg import DockingState
 from deltacharger_core.mcap_file import Raw
 from deltacharger_core.texts import REQUEST_ID_MAX
 from deltacharger_docking.codes import Code, State
-from deltacharger_records.recording.docking_recorder import DockingRecorder, gate_for
-from deltacharger_records.recording.folder import RecordFolder
-from deltacharger_records.recording.gate import Gate
+from deltacharger_records.recording.docking_recorder import LOST_AFTER, TAIL, DockingRecorder, Gate, Seen, Session
+from deltacharger_records.recording.folder import PARTIAL, RecordFolder
 from deltacharger_records.recording.mcap_recording import McapStream
-from deltacharger_records.recording.own import PARTIAL
-from deltacharger_records.recording.session import LOST_AFTER, TAIL, Seen, Session
 from deltacharger_records.replay.record import replay
 from deltacharger_records.replay.words import why
 
@@ -39,9 +36,8 @@ TILTED = "the target is rolled by 12.6°"
 
 
 def recorder(folder: Path, max_bytes: int = 10**8, rate: float = 1.0) -> DockingRecorder:
-    gate = gate_for(NAMES, 2.0, rate, max_bytes)
     about = {"version": "0", "scene": "tape", "namespace": "/a"}
-    return DockingRecorder(RecordFolder(folder, 10, max_bytes), gate, NAMES, RECORDED, about)
+    return DockingRecorder(RecordFolder(folder, 10, max_bytes), RECORDED, about, 2.0, rate)
 
 
 def play(recorder: DockingRecorder, messages: Iterable[Raw]) -> float:
@@ -75,7 +71,7 @@ def test_a_refused_docking_is_one_file_that_includes_the_seconds_before_its_goal
     found = replay(only(tmp_path))
     assert found.is_complete
     assert found.outcome() == {"success": False, "code": 403, "name": "CRITICAL_ANGLE", "message": message}
-    assert found.run.motion.arrays()["time"][0] == pytest.approx(-1.0, abs=0.02), "the tape began 1 s before the goal"
+    assert found.motion.arrays()["time"][0] == pytest.approx(-1.0, abs=0.02), "the tape began 1 s before the goal"
     assert [phase.state for phase in found.phases] == ["idle", "approach", "contact", "measure", "retract", "idle"]
     about = {"version": "0", "scene": "tape", "namespace": "/a", "request_id": "r/1"}
     assert found.about == about | {"began": str(BEGAN + 10**9)}
@@ -95,7 +91,7 @@ def test_long_charging_needs_little_space_and_its_ends_are_complete(tmp_path: Pa
     found = replay(path)
     assert found.charged == pytest.approx(long, abs=1.0)
     assert found.recording.counts["servo_state"] < 75 + long + 50
-    times = found.run.power.arrays()["time"]
+    times = found.power.arrays()["time"]
     assert times[-1] - times[0] == pytest.approx(3.0 + long, abs=2.0)
     assert found.as_dict()["dropped"]["thinned"][NAMES["tactile_frame"]] > 200
 
@@ -136,8 +132,8 @@ def test_consecutive_dockings_are_two_records(tmp_path: Path) -> None:
     first_, second_ = (replay(path) for path in paths)
     assert second_.phases[0].state == "idle"
     assert [phase.state for phase in second_.phases[1:]] == [phase.state for phase in first_.phases[1:]]
-    assert [each.kind for each in second_.run.decisions] == [each.kind for each in first_.run.decisions]
-    assert second_.began - first_.began == 4_200_000_000
+    assert [each.kind for each in second_.decisions] == [each.kind for each in first_.decisions]
+    assert second_.began_ns - first_.began_ns == 4_200_000_000
 
 
 def test_a_record_ends_with_docking_node_and_states_the_phase(tmp_path: Path) -> None:

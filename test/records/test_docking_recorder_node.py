@@ -20,7 +20,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 
 from deltacharger_records.recording.docking_recorder_node import DockingRecorderNode
-from deltacharger_records.recording.own import PARTIAL
+from deltacharger_records.recording.folder import PARTIAL
 from deltacharger_records.replay.record import Replay, replay
 from deltacharger_records.replay.words import why
 from deltacharger_ros.log import Log
@@ -90,12 +90,12 @@ def test_a_docking_is_recorded_as_its_client_saw_it(quick_scene: Scene, context:
     reported = [progress.phase for progress in seen if progress.phase != "idle"]
     changes = [phase for phase, before in zip(reported, ["", *reported], strict=False) if phase != before]
     assert changes == phases[phases.index("approach") : phases.index("charging") + 1], "the client saw every state"
-    assert [each.kind for each in found.run.decisions] == cell.decisions
+    assert [each.kind for each in found.decisions] == cell.decisions
     assert found.parameters.travel_speed == 0.5
-    assert 0.4 <= found.run.contact.arrays()["current"].max() <= 1.0  # what a stalled arm may overshoot to
-    assert found.run.touches
-    assert found.run.touches[-1].frames is not None
-    assert found.run.motion.arrays()["time"][0] < 0.0, "it begins before the goal"
+    assert 0.4 <= found.contact.arrays()["current"].max() <= 1.0  # what a stalled arm may overshoot to
+    assert found.touches
+    assert found.touches[-1].frames is not None
+    assert found.motion.arrays()["time"][0] < 0.0, "it begins before the goal"
     assert why(found).startswith("Docked and charging in ")
     assert (cell.folder / STRANGE).read_text() == "mine"
     assert (f"'{STRANGE}'" in left, "pipe" in left) == (True, True)

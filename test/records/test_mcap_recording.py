@@ -6,7 +6,6 @@ from __future__ import annotations
 import contextlib
 import io
 import math
-import sys
 from pathlib import Path
 
 import pytest
@@ -19,9 +18,8 @@ from mcap.reader import make_reader
 from rclpy.qos import DurabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
 
-from deltacharger_core.mcap_file import CUT_SHORT, DamagedRecording, McapFile, Raw, RecordingError, require_mcap
-from deltacharger_records.recording.docking_topics import TOPICS
-from deltacharger_records.recording.mcap_recording import McapStream, McapWriter, pack, schema_text, type_name
+from deltacharger_core.mcap_file import CUT_SHORT, DamagedRecording, McapFile, Raw
+from deltacharger_records.recording.mcap_recording import TOPICS, McapStream, McapWriter, pack, schema_text, type_name
 
 pytestmark = pytest.mark.ros
 
@@ -130,12 +128,3 @@ def test_an_exception_leaves_the_existing_file(tmp_path: Path) -> None:
     assert path.read_bytes() == b"before"
     with pytest.raises(OSError, match="nowhere"):
         McapWriter(tmp_path / "nowhere" / "run.mcap", RECORDED)
-
-
-def test_without_mcap_the_message_states_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setitem(sys.modules, "mcap.writer", None)
-    with pytest.raises(RecordingError, match=r"deltacharger\[record\]"):
-        require_mcap()
-    with pytest.raises(RecordingError, match="install"):
-        McapWriter(tmp_path / "run.mcap", RECORDED)
-    assert not list(tmp_path.iterdir())

@@ -1,65 +1,75 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The picture of a run: drawn from any recorded data, however few, and never a reason to fail."""
+"""The picture of a docking: drawn from any data, however few, and never a reason to fail."""
 
 from __future__ import annotations
 
 import itertools
 import math
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from deltacharger_docking.clearance import MisalignmentEstimate
+from deltacharger_docking.codes import Code
 from deltacharger_records import plotting
-from deltacharger_records.replay.run_picture import PictureError, draw, headline
-from deltacharger_records.replay.run_record import Run, Series
+from deltacharger_records.replay.picture import PictureError, TimeScale, draw, headline
+from deltacharger_records.replay.run import Phase, Run, Series, Touch
 from deltacharger_ros.outcomes import Outcome
 
-DETAILS = {"charge_current": 5.0, "energy": 109.0, "contact_current": 0.45, "contact_force": 17.2, "alignments": 1}
+
+def outcome(code: Code = Code.NONE, message: str = "") -> Outcome:
+    return Outcome("dock", code == Code.NONE, int(code), code.name, message, False, 2.9)
 
 
-def full_run() -> Run:
-    run = Run(phases=[(0.0, "idle"), (0.1, "approach"), (1.0, "contact"), (2.0, "measure"), (2.1, "energise")])
-    for time in np.arange(0.0, 3.0, 0.01):
-        run.motion.add(time, 0.08 * min(time, 1.0), 17.0 * (time > 1.5), 0.45 * (time > 1.5))
-        run.contact.add(time, 0.45 * (time > 1.5))
-        run.power.add(time, 5.0 * (time > 2.2), float(time > 2.1))
-        run.misalignment.add(time, *((1e-3, -1e-3, 0.03) if time > 2.0 else (math.nan,) * 3))
-    run.decided.add(2.1, 1e-3, -1e-3, 0.03)
+def hours() -> Run:
+    """Return a run of hours, without curves, and with an image and measurements of nothing."""
+    run = Run(phases=[Phase("measure", 0.0, 3.0), Phase("charging", 3.0, 9000.0)], charged=8997.0, end=9000.0)
+    known, unknown = MisalignmentEstimate(*[1e-3] * 6), MisalignmentEstimate(*[math.nan] * 6)
     frame = np.zeros((10, 10))
-    frame[4:6] = 2.0
     frame[0, 0] = math.nan
-    run.frames = (frame, frame)
-    run.outcome = Outcome("dock", True, 0, "NONE", "", False, 2.9, DETAILS | {"misalignment": {"angle": 0.034}})
+    run.touches = [Touch(number, each, number, (frame, frame)) for number, each in enumerate([known, unknown] * 3, 1)]
+    run.seen = np.zeros((40, 64, 3), dtype=np.uint8)
+    run.results = [outcome()]
     return run
 
 
 @pytest.mark.rest
-@pytest.mark.parametrize("kind", ["full", "refused at once"])
-def test_it_is_drawn_from_any_data(kind: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("run", [Run(), Run(results=[outcome(Code.UNREACHABLE, "stand closer " * 40)]), hours()])
+def test_it_is_drawn_from_any_data(run: Run, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="pictures need deltacharger[picture]")
-    run = full_run() if kind == "full" else Run()
-    if kind == "full":
-        run.seen = np.zeros((40, 64, 3), dtype=np.uint8)
-    else:
-        run.outcome = Outcome("dock", False, 301, "UNREACHABLE", "stand 100 mm closer " * 20, True, 0.0)
     path = tmp_path / "dock.png"
-    draw(run, path)
+    draw(run, path, "a subject " * 30)
     assert (path.read_bytes()[:4], path.stat().st_size > 10_000) == (b"\x89PNG", True)
     for place in (tmp_path / "no" / "such" / "folder.png", tmp_path / "dock.xyz"):
         with pytest.raises(PictureError, match=place.name):
-            draw(Run(), place)
+            draw(run, place)
 
 
-@pytest.mark.parametrize(("energy", "title"), [(109.0, "Docked and charging"), (0.0, "Docked"), (math.nan, "Docked")])
-def test_only_a_measured_charge_is_in_the_title(energy: float, title: str) -> None:
-    run = full_run()
-    assert run.outcome is not None
-    run.outcome = replace(run.outcome, error_message="power: none", details=DETAILS | {"energy": energy})
-    assert headline(run) == (title, "power: none")
+def test_hours_of_charging_are_compressed_to_the_width_of_a_docking() -> None:
+    scale = TimeScale(hours())
+    assert scale.width == pytest.approx(0.3 + 3.0 + 3.0 + 8.0 + 3.0 + 0.3)
+    times = np.linspace(scale.begin, scale.end, 1000)
+    assert (np.diff(scale.forward(times)) > 0.0).all()
+    assert scale.inverse(scale.forward(times)) == pytest.approx(times)
+
+
+@pytest.mark.parametrize(
+    ("result", "charged", "last", "title"),
+    [
+        (outcome(), 9.0, "charging", "Docked and charging"),
+        (outcome(), 9.0, "idle", "Docked and charged"),
+        (outcome(), math.nan, "charging", "Docked"),
+        (outcome(Code.NO_CONTACT), math.nan, "idle", "Not docked: no contact"),
+        (outcome(Code.NO_CONTACT), 9.0, "idle", "Charged, then no contact"),
+        (None, math.nan, "measure", "Unfinished record"),
+    ],
+)
+def test_the_title_tells_how_it_ended(result: Outcome | None, charged: float, last: str, title: str) -> None:
+    run = Run(phases=[Phase(last, 0.0, 1.0)], charged=charged, results=[result] if result else [])
+    assert headline(run)[0] == title
 
 
 def test_without_matplotlib_the_message_states_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

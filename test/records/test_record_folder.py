@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The folder of records has bounds on files and bytes; the oldest is removed first, never an open or foreign one."""
+"""The folder of records has bounds on files and bytes; the oldest is removed first, never an open or foreign file."""
 
 from __future__ import annotations
 
@@ -16,9 +16,8 @@ pytest.importorskip("mcap", reason="records with deltacharger[record]")
 from mcap.writer import Writer
 
 from deltacharger_core.files import flush
-from deltacharger_records.recording.folder import RecordFolder
+from deltacharger_records.recording.folder import ABOUT, PARTIAL, RecordFolder, head, problem_of, safe_id
 from deltacharger_records.recording.mcap_recording import McapStream
-from deltacharger_records.recording.own import ABOUT, PARTIAL, head, is_named_like_one, look, safe_id
 
 BEGAN = 1_795_000_000 * 10**9
 SECOND = 10**9
@@ -34,9 +33,14 @@ def make(folder: RecordFolder, number: int, size: int, ends: bool) -> tuple[Path
     stream.write(b"x" * size)
     flush(stream)
     if ends:
-        path = folder.finish(path, stream, "OK")
+        path = end(folder, path, stream, "OK")
         stream.close()
     return path, stream
+
+
+def end(folder: RecordFolder, path: Path, stream: BinaryIO, ending: str) -> Path:
+    """Finish a record, whose packed content is the same."""
+    return folder.finish(path, stream, ending, lambda new: shutil.copyfileobj(path.open("rb"), new))
 
 
 def contents(folder: Path) -> dict[str, object]:
@@ -63,8 +67,8 @@ def test_no_request_id_leaves_the_folder_or_its_record(tmp_path: Path, request_i
         about = head({"version": "0", "scene": "é" * 5000, "namespace": "/" + "a" * 5000}, BEGAN, request_id)
         McapStream(stream, {}, live=True, metadata=[(ABOUT, about)])
         flush(stream)
-        assert look(path).problem == ""
-        assert look(folder.finish(path, stream, "CRITICAL_ANGLE")).problem == ""
+        assert problem_of(path) == ""
+        assert problem_of(end(folder, path, stream, "CRITICAL_ANGLE")) == ""
     assert len(folder.entries()) == len(list(tmp_path.iterdir())) == 2
 
 
@@ -110,16 +114,18 @@ def test_the_file_of_a_killed_recorder_is_a_record(tmp_path: Path) -> None:
     assert not left.name.endswith(PARTIAL)
 
 
-def test_only_the_packed_copy_of_a_recorder_killed_while_packing_is_removed(tmp_path: Path) -> None:
+def test_a_record_that_cannot_be_packed_stays_as_it_is(tmp_path: Path) -> None:
     folder = RecordFolder(tmp_path, 9, 10**9)
-    path, stream = make(folder, 0, 10, ends=True)
-    beside = tmp_path / f".{path.name}.partial"
-    with beside.open("xb") as packing, pytest.raises(FileExistsError), folder.rewriting(path, stream):
-        pytest.fail("another process packs it already")
-    shutil.copyfile(path, beside)
-    assert folder.prune() == [beside]
-    assert [each.path for each in folder.entries()] == [path]
-    assert packing.closed
+    path, stream = make(folder, 0, 10, ends=False)
+    before = path.read_bytes()
+
+    def full(new: BinaryIO) -> None:
+        new.write(b"half")
+        raise OSError(28, "No space left on device")
+
+    with stream:
+        assert folder.finish(path, stream, "OK", full).name == NAME
+    assert [(each.name, each.read_bytes()) for each in tmp_path.iterdir()] == [(NAME, before)]
 
 
 def _bag(path: Path, library: str, metadata: str = "") -> None:
@@ -148,13 +154,16 @@ FOREIGN: dict[str, Callable[[Path], object]] = {
     "a link to a record": lambda path: path.symlink_to(NAME),
     "a link to itself": lambda path: path.symlink_to(path),
 }
-OURS = ("20260101T000000Z.mcap", "20261118T110640Z-id_0-OK-keep.mcap", "20261118T110641Z-my_bag_of_yesterday.mcap")
-NOT_OURS = (f".{NAME}", "20261118T110641Z-id_1-OK (copy).mcap", "20261118T110641Z-id_1-OK.mcap.bak")
+LIKE_OURS = (
+    *("20260101T000000Z.mcap", "20261118T110640Z-id_0-OK-keep.mcap", "20261118T110641Z-my_bag_of_yesterday.mcap"),
+    *("20261118T110641Z-id_1-OK (copy).mcap", NAME.replace("-OK", "-\n\x1b[2J")),
+)
+UNLIKE_OURS = (f".{NAME}", "20261118T110641Z-id_1-OK.mcap.bak")
 
 
 @pytest.mark.parametrize("kind", FOREIGN)
 def test_foreign_files_are_unchanged_not_counted_and_stop_no_record(tmp_path: Path, kind: str) -> None:
-    for name in (*OURS, *NOT_OURS, NAME.replace("-OK", "-\n\x1b[2J")):
+    for name in (*LIKE_OURS, *UNLIKE_OURS):
         FOREIGN[kind](tmp_path / name)
     before = contents(tmp_path)
     folders = [RecordFolder(tmp_path, 2, 10**9) for _ in range(2)]
@@ -164,7 +173,7 @@ def test_foreign_files_are_unchanged_not_counted_and_stop_no_record(tmp_path: Pa
     after = contents(tmp_path)
     assert {name: after.get(name) for name in before} == before
     assert len(after) == len(before) + 2
-    assert set(folders[1].passed_by) == {name for name in before if is_named_like_one(name)} >= set(OURS)
+    assert set(folders[1].passed_by) == set(LIKE_OURS)
     assert all(folders[1].passed_by.values())
 
 
@@ -188,9 +197,9 @@ def test_a_replaced_record_is_no_longer_ours(tmp_path: Path) -> None:
     path.write_text("mine, too")
     before = contents(tmp_path)
     with stream:
-        for end in (folder.forget, lambda *file: folder.finish(*file, "OK")):
+        for finish in (folder.forget, lambda *file: end(folder, *file, "OK")):
             with pytest.raises(FileNotFoundError, match="another program moved"):
-                end(path, stream)
+                finish(path, stream)
     assert contents(tmp_path) == before
 
 
@@ -219,6 +228,6 @@ def test_a_damaged_head_is_read_without_errors_and_large_contents_are_not_read(t
     for place in range(0, len(whole), 3):
         for more in (b"", b"\xff" + whole[place + 1 :], b"\0" + whole[place:]):
             path.write_bytes(whole[:place] + more)
-            assert isinstance(look(path).problem, str)
+            assert isinstance(problem_of(path), str)
     os.truncate(path, 2**40)
-    assert isinstance(look(path).problem, str)
+    assert isinstance(problem_of(path), str)

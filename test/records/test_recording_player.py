@@ -29,7 +29,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from deltacharger_core.mcap_file import Raw
 from deltacharger_docking.codes import Code, State
-from deltacharger_records.recording.docking_topics import TOPICS
+from deltacharger_records.recording.mcap_recording import TOPICS
 from deltacharger_records.recording.recording_player_node import RecordingPlayerNode
 from deltacharger_ros import qos
 from deltacharger_ros.node_support import StartupError

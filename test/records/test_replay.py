@@ -1,22 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """`deltacharger replay`: why a recorded docking ended, in text and numbers that a person can act on.
 
-Older recordings, whose definitions differ from ours, are replayed as far as they can be read; forces and heights use
-the charger's own geometry, gravity and servos, live and in a record.
+A recording whose messages have other fields than ours is refused by name; forces and heights use the charger's own
+geometry, gravity and servos, live and in a record.
 """
 
 from __future__ import annotations
 
 import json
-import math
 import os
 import shutil
-from array import array
+from importlib.util import find_spec
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
-import numpy as np
 import pytest
 
 from ..chargers import Spin, wait_until
@@ -25,27 +22,23 @@ from .docking_tapes import NAMES, RECORDED, decision, docking, measured, raw, re
 
 pytest.importorskip("mcap", reason="replays with deltacharger[record]")
 
-from deltacharger.msg import DockingState, Misalignment, ServoState
+from deltacharger.msg import DockingState, ServoState
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 
 from deltacharger_core.machine import JOINTS
-from deltacharger_core.mcap_file import Raw, RecordingError
+from deltacharger_core.mcap_file import Raw
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry, LimbAdjustment
 from deltacharger_kinematics.geometry_file import save_geometry
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_records.node_parameters import docking_settings, known_settings, with_geometry
-from deltacharger_records.quantities import numbers
 from deltacharger_records.recording import mcap_recording
 from deltacharger_records.recording.mcap_recording import McapStream, McapWriter
-from deltacharger_records.replay.file import Recording
-from deltacharger_records.replay.older import fields, is_older, older_decoder
 from deltacharger_records.replay.record import replay
 from deltacharger_records.replay.recorder import Recorder
-from deltacharger_records.replay.words import story, why
-from deltacharger_records.view.sources import ShownRecording
+from deltacharger_records.replay.words import numbers, story, why
 from deltacharger_ros import qos
 
 from ..bringup.command import Capture, answer, refuses, run
@@ -88,8 +81,13 @@ def test_a_critical_angle_is_explained_by_the_remaining_clearance(tilted: Path, 
     has(why(replay(tilted)), "12.6° ± 0.3°", "two contacts", "−0.3 mm", "Level the target", "home again at 3.0 s")
     tape = docking(measured(2.7, 10.6), measured(2.9, 10.6), *refused(Code.CRITICAL_ANGLE, "tilted by 10.6°"))
     has(why(replay(write(tmp_path / "a.mcap", tape))), "0.9 mm, 0.3 mm after", "3 standard deviations")
+    light = decision(2.2, State.CONTACT, "touched", "the touch is too light for an estimate", angle_rad=0.3)
+    touched = decision(2.4, State.CONTACT, "touched", "the first touch gives an estimate", angle_rad=0.22)
+    found = replay(write(tmp_path / "touch.mcap", docking(light, touched, *refused(Code.CRITICAL_ANGLE, TILTED))))
+    has(why(found), "the angle was measured as 12.6°")
+    assert [(touch.contact, touch.estimate.sure) for touch in found.touches] == [(1, True)]
     tape = [state(0.0, State.IDLE), *readings(0.0, 2.0), *refused(Code.CRITICAL_ANGLE, "the roll is 17.2°", at=1.0)]
-    has(why(replay(write(tmp_path / "given.mcap", tape))), "before anything was touched", "17.2°")
+    has(why(replay(write(tmp_path / "given.mcap", tape))), "before anything was measured", "17.2°")
 
 
 @pytest.mark.parametrize(
@@ -229,68 +227,39 @@ def test_it_is_drawn(tapes: Path, tmp_path: Path, capsys: Capture) -> None:
     assert (picture.read_bytes()[:4], picture.stat().st_size > 20_000) == (b"\x89PNG", True)
 
 
-def without(kind: Any, *names: str) -> str:
-    """Return a schema without these fields."""
-    lines = mcap_recording.schema_text(kind).splitlines()
-    return "\n".join(line for line in lines if not set(line.partition("#")[0].split()[1:2]) & set(names))
+@pytest.mark.parametrize(
+    ("topic", "old", "new"),
+    [
+        ("charger_power", "float32 charge_current", "float64 charge_current"),
+        ("charger_power", "bool contactor_closed", "# bool contactor_closed"),
+        ("docking_state", "\nstring request_id", "\nstring request_id\nfloat64 gone"),
+        ("dock/_action/feedback", "feedback\n", "feedback\nbool gone\n"),
+        ("tactile_frame", "int32 sec\n", "int64 sec\n"),
+        ("servo_state", "string frame_id", "# string frame_id"),
+    ],
+)
+def test_a_recording_of_messages_with_other_fields_is_refused_by_name(
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch, topic: str, old: str, new: str
+) -> None:
+    kind, schema_text = RECORDED[NAMES[topic]].kind, mcap_recording.schema_text
+    with monkeypatch.context() as patch:
+        other = schema_text(kind).replace(old, new)
+        assert other != schema_text(kind)
+        patch.setattr(mcap_recording, "schema_text", lambda each: other if each is kind else schema_text(each))
+        path = write(tmp_path / "a.mcap", docking(*refused(Code.NO_CONTACT, "nothing is there")))
+    for command in ("replay", "view --save a.rrd --recording") if find_spec("rerun") else ("replay",):
+        refuses(capsys, f"{command} {path}", f"{NAMES[topic]} has other fields")
 
 
-def as_before(message: Any, text: str) -> bytes:
-    """Return a message encoded by the definition in `text`, by other code than ours."""
-
-    def plain(value: Any) -> Any:
-        if hasattr(value, "get_fields_and_field_types"):
-            return SimpleNamespace(**{name: plain(getattr(value, name)) for name in value.get_fields_and_field_types()})
-        return list(value) if isinstance(value, (np.ndarray, array)) else value
-
-    dynamic = pytest.importorskip("mcap_ros2._dynamic", reason="replays older recordings with deltacharger[record]")
-    name = mcap_recording.type_name(type(message))
-    return bytes(dynamic.serialize_dynamic(name, text)[name](plain(message)))
-
-
-def older(path: Path, kind: Any, definition: str, *messages: Any) -> Path:
-    """Return a recording of a docking with the old definition of `kind`."""
-    with pytest.MonkeyPatch.context() as patch:
-        own = mcap_recording.schema_text
-        patch.setattr(mcap_recording, "schema_text", lambda each: definition if each is kind else own(each))
-        tape = docking(*refused(Code.NO_CONTACT, "nothing is there"))
-        return write(path, [*tape, *messages], result(Code.NO_CONTACT, "nothing is there"))
-
-
-def test_a_message_without_its_last_fields_is_replayed_and_shown_and_cut_bytes_are_damage(tmp_path: Path) -> None:
-    definition = without(Misalignment, "yaw", "pitch")
-    sent = Misalignment(
-        angle=0.02, vertical=-0.001, contact=True, angle_probability=[0.25, 0.75], model="pose", yaw=0.3
-    )
-    message = raw(9.0, "misalignment", sent)._replace(data=as_before(sent, definition))
-    decode = older_decoder(definition, "deltacharger/msg/Misalignment", Misalignment)
-    assert decode(message.data).model == "pose"
-    with pytest.raises(RecordingError, match="damaged"):
-        decode(message.data[: len(message.data) // 2])
-    path, found = older(tmp_path / "a.mcap", Misalignment, definition, message), []
-    recording = Recording(path)
-    recording.read(lambda name, _, each: found.append(each) if name == "misalignment" else None)
-    assert (recording.unreadable, recording.damage) == ({}, "")
-    take = lambda topic, received, decode: found.extend([decode()] if topic == "misalignment" else [])  # noqa: E731
-    ShownRecording(path).play(cast(Any, SimpleNamespace(take=take)), lambda: False)
-    assert len(found) == 2
-    for read in found:
-        assert (read.angle, read.vertical, read.contact, read.model) == (0.02, -0.001, True, "pose")
-        assert (list(read.angle_probability), math.isnan(read.yaw)) == ([0.25, 0.75], True)
+@pytest.mark.parametrize("definition", ["", "# a remark\n{}", "{}\nuint8 STATE_NEW = 99\n"])
+def test_comments_and_constants_do_not_matter_and_a_bag_may_lack_definitions(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, definition: str
+) -> None:
+    schema_text = mcap_recording.schema_text
+    with monkeypatch.context() as patch:
+        patch.setattr(mcap_recording, "schema_text", lambda kind: definition.format(schema_text(kind)))
+        path = write(tmp_path / "a.mcap", docking(*refused(Code.NO_CONTACT, "nothing is there")))
     assert replay(path).outcome()["name"] == "NO_CONTACT"
-
-
-def test_a_changed_definition_is_no_older_one_and_is_named(tmp_path: Path) -> None:
-    now = fields(mcap_recording.schema_text(DockingState))
-    assert is_older(now, now)
-    for text in ("uint8 state\nfloat64 gone", "uint16 state"):
-        assert not is_older(fields(text), now)
-    assert not is_older({**now, "deltacharger/Gone": ["float64 x"]}, now)
-    kind = RECORDED[NAMES["charger_power"]].kind
-    definition = mcap_recording.schema_text(kind).replace("float32 charge_current", "float64 charge_current")
-    path = older(tmp_path / "a.mcap", kind, definition)
-    assert "definition" in Recording(path).unreadable["charger_power"]
-    assert replay(older(tmp_path / "b.mcap", DockingState, "")).phases[1].state == "approach", "no definition: ours"
 
 
 LIMBS = (LimbAdjustment(arm=0.101), LimbAdjustment(angle_offset=0.05), LimbAdjustment())
@@ -338,7 +307,7 @@ def test_the_settings_are_docking_nodes_even_if_its_file_is_on_another_computer(
 def test_a_record_is_replayed_with_its_own_settings(tmp_path: Path, settings: dict[str, Any], own: bool) -> None:
     tape = [*docking(until=0.0), *(raw(2.6 + 0.01 * step, "servo_state", pushing()) for step in range(50))]
     path = write(tmp_path / "a.mcap", tape, parameters=with_geometry(settings) if own else {})
-    motion = replay(path).run.motion.arrays()
+    motion = replay(path).motion.arrays()
     assert len(motion["z"]) == 50
     right = [motion["z"][-1] == pytest.approx(PLACE[2], abs=1e-9), motion["force"][-1] == pytest.approx(PUSH, abs=1e-6)]
     assert right == [own, own]

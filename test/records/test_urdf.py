@@ -20,8 +20,7 @@ from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.geometry import LimbAdjustment
 from deltacharger_kinematics.geometry_file import save_geometry
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_records.view.mechanism import ROD_SPACING, SIDES, passive_joints
-from deltacharger_records.view.shapes import camera, moving, platform
+from deltacharger_records.view.shapes import ROD_SPACING, SIDES, camera, moving, passive_joints, platform
 from deltacharger_vision.mount import Mount, look_at
 from deltacharger_vision.terminal import Terminal
 

@@ -12,9 +12,8 @@ import pytest
 
 from deltacharger_kinematics import DeltaGeometry
 from deltacharger_records.view import shapes as view_scene
-from deltacharger_records.view.pictures import DEAD, FULL, NOISE, pad_picture
-from deltacharger_records.view.shapes import Boxes
-from deltacharger_records.view.solids import Solids
+from deltacharger_records.view.animation import Solids
+from deltacharger_records.view.shapes import DEAD, FULL, NOISE, Boxes, pad_picture
 from deltacharger_vision.terminal import Terminal
 
 from ..bringup.command import Capture, refuses

@@ -17,7 +17,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Header
 
-from deltacharger_records.recording.docking_topics import TOPICS
+from deltacharger_records.recording.mcap_recording import TOPICS
 from deltacharger_ros.outcomes import DockRequest
 
 from ..chargers import Spin, wait_until

@@ -15,7 +15,7 @@ from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_lab.mujoco import model as mujoco_model
 from deltacharger_lab.mujoco.lean import MujocoLean
-from deltacharger_records.view.mechanism import rod_angles
+from deltacharger_records.view.shapes import rod_angles
 from deltacharger_sim.motion import Motion
 from deltacharger_sim.parameters import MagnetParameters, WorldParameters
 from deltacharger_sim.tilt import tilts

@@ -98,8 +98,7 @@ def _camera(context: Context, namespace: str) -> Any:
 
 def _player(context: Context, namespace: str) -> Any:
     """Return a player for one message of every topic, in a separate namespace, because it never runs with a charger."""
-    from deltacharger_records.recording.docking_topics import TOPICS
-    from deltacharger_records.recording.mcap_recording import McapWriter
+    from deltacharger_records.recording.mcap_recording import TOPICS, McapWriter
     from deltacharger_records.recording.recording_player_node import RecordingPlayerNode
 
     with TemporaryDirectory() as folder:
