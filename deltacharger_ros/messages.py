@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Conversions between ROS messages and plain values: durations, goals, feedback, results."""
+"""Conversions between ROS messages and plain values: durations, goals, feedback, results; unknown is NaN, never 0."""
 
 from __future__ import annotations
 
 import math
 from typing import Any
 
+import numpy as np
 from builtin_interfaces.msg import Duration
 from deltacharger.action import Dock
+from deltacharger.msg import Misalignment
+from std_msgs.msg import Header
 
+from deltacharger_core.frames import END_EFFECTOR
 from deltacharger_core.rotation import lean, rotation
 from deltacharger_ros.outcomes import Outcome, Pose, Progress
 
@@ -112,3 +116,21 @@ def _base(suggested: Any) -> dict[str, Any] | None:
         return None
     yaw, _ = lean(rotation(turn.x, turn.y, turn.z, turn.w))
     return {"frame_id": frame, "position": [point.x, point.y, point.z], "yaw": yaw}
+
+
+def unknown(message: Any) -> Any:
+    """Set every float of a message and its nested messages to NaN; return the message."""
+    for name, kind in message.get_fields_and_field_types().items():
+        value = getattr(message, name)
+        if kind in ("float", "double"):
+            setattr(message, name, math.nan)
+        elif isinstance(value, np.ndarray):
+            value[:] = math.nan
+        elif hasattr(value, "get_fields_and_field_types"):
+            unknown(value)
+    return message
+
+
+def unknown_misalignment(frame: str = END_EFFECTOR) -> Misalignment:
+    """Return a Misalignment message without any estimate."""
+    return unknown(Misalignment(header=Header(frame_id=frame)))

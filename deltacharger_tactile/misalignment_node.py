@@ -27,11 +27,11 @@ from deltacharger_core.machine import COLUMNS, ROWS
 from deltacharger_ros import node_support
 from deltacharger_ros.clock import stamp_age
 from deltacharger_ros.log import Log
+from deltacharger_ros.messages import unknown_misalignment
 from deltacharger_ros.on_demand import OnDemandSubscription
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import SERVICE
 from deltacharger_ros.tuning import Regularly, Tuning
-from deltacharger_ros.unknown import unknown_misalignment
 from deltacharger_tactile.errors import FrameError
 from deltacharger_tactile.estimate import Estimate
 from deltacharger_tactile.frame_window import Frame, FrameWindow, Refused

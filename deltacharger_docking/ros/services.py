@@ -25,9 +25,8 @@ from deltacharger_docking.observation import Reply, Request, Service
 from deltacharger_docking.ros.messages import refined, seen
 from deltacharger_ros.action_caller import result_of
 from deltacharger_ros.clock import age
-from deltacharger_ros.messages import duration, seconds
+from deltacharger_ros.messages import duration, seconds, unknown_misalignment
 from deltacharger_ros.qos import SERVICE
-from deltacharger_ros.unknown import unknown_misalignment
 
 _RENEWAL = 0.05  # s between renewals of the lease, which outlives a stall of four fifths of it
 _DISCOVERY = 1.5  # s for a service to appear: discovery takes that long for nodes that start together

@@ -48,10 +48,9 @@ from deltacharger_ros.clock import steady_timer
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
 from deltacharger_ros.executor import order_age
 from deltacharger_ros.log import Log
-from deltacharger_ros.messages import seconds
+from deltacharger_ros.messages import seconds, unknown
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import LATEST, SERVICE
-from deltacharger_ros.unknown import unknown
 
 _DIAGNOSTICS_PERIOD = 1.0  # s
 _TARE_SHARED = 0.05  # s for which a tare that several callers awaited is reused

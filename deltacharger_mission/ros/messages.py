@@ -20,8 +20,7 @@ from deltacharger_docking.ros.messages import seen
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_mission.dialogue import DockingReport, End, MissionGoal, TaskReply
 from deltacharger_mission.places import Place
-from deltacharger_ros.messages import seconds
-from deltacharger_ros.unknown import unknown_misalignment
+from deltacharger_ros.messages import seconds, unknown_misalignment
 
 
 def read_dock(number: int, end: End, result: Any, feedback: Any) -> TaskReply:

@@ -28,9 +28,9 @@ from rclpy.node import Node
 
 from deltacharger_core.frames import CHARGER_BASE, FrameParameters
 from deltacharger_ros import node_support, qos
+from deltacharger_ros.messages import unknown
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import SERVICE
-from deltacharger_ros.unknown import unknown
 from deltacharger_scenes.mocks.fault_switch import FaultSwitch
 from deltacharger_scenes.mocks.parameters import DETECTOR_FAULTS, MockDetectorNodeParameters
 from deltacharger_vision.placed import Placed, leaning_normal

@@ -45,11 +45,10 @@ from deltacharger_driver.board.tactile_node_io import SamplePublishers, limits_o
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import node_support, qos
 from deltacharger_ros.clock import steady_timer
-from deltacharger_ros.messages import seconds
+from deltacharger_ros.messages import seconds, unknown
 from deltacharger_ros.on_demand import LatestMessage
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import SERVICE
-from deltacharger_ros.unknown import unknown
 from deltacharger_scenes.mocks.fault_switch import FaultSwitch
 from deltacharger_scenes.mocks.parameters import POWER_FAULTS, TACTILE_FAULTS, MockTactileNodeParameters
 from deltacharger_scenes.mocks.power import BATTERY, TARGET, MockPower

@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from deltacharger_ros.executor import Spinner
-from deltacharger_ros.unknown import unknown_misalignment
+from deltacharger_ros.messages import unknown_misalignment
 
 from ..nodes import options
 

@@ -21,7 +21,6 @@ from deltacharger_records.recording.folder import ABOUT, PARAMETERS, RESULT
 from deltacharger_records.recording.mcap_recording import TOPICS, McapWriter
 from deltacharger_ros.outcomes import Outcome
 from deltacharger_ros.raw_topics import Topic
-from deltacharger_ros.unknown import unknown_misalignment
 
 BEGAN = 1_795_000_000 * 10**9  # ns since 1970
 NAMES = {topic.name: f"/a/{topic.name}" for topic in TOPICS}

@@ -19,9 +19,9 @@ from std_msgs.msg import Int64
 from std_srvs.srv import Trigger
 
 from deltacharger_ros.executor import Spinner
+from deltacharger_ros.messages import unknown, unknown_misalignment
 from deltacharger_ros.on_demand import LatestMessage, OnDemandSubscription, PolledTopic
 from deltacharger_ros.qos import SERVICE
-from deltacharger_ros.unknown import unknown, unknown_misalignment
 
 from ..chargers import DEADLINE, Spin, wait_until
 from ..nodes import answer, numbers, options
