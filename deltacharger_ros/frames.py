@@ -3,26 +3,270 @@
 
 The mount of the charger on its robot has one source: tf's transform of charger_base in base_frame if there is one,
 otherwise the parameter base_pose. A given base_pose that differs from tf is an error.
+
+tf2_ros is part of every ROS installation but not on PyPI. Its TransformListener would process every message of /tf in
+Python, hundreds a second, for a goal an hour. Here messages wait in the readers' histories (same depth) and enter the
+buffer when a transform is requested (docs/benchmarks.md).
 """
 
 from __future__ import annotations
 
+import difflib
+import importlib.util
 import math
+import threading
+import time
 from collections.abc import Sequence
+from typing import Any
 
 from builtin_interfaces.msg import Time as Stamp
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.time import Time
 
 from deltacharger_core.frames import CHARGER_BASE, LONGEST, TransformParameters
 from deltacharger_core.rotation import IDENTITY, Pose, apart, composed
 from deltacharger_core.units import far
 from deltacharger_ros.clock import steady_timer
 from deltacharger_ros.log import Log
+from deltacharger_ros.on_demand import PolledTopic
 from deltacharger_ros.parameters import was_given
-from deltacharger_ros.tf_tree import TfTree, TransformError, UnknownFrame, installed, quoted
 
 SAME = (0.002, math.radians(0.5))  # m and rad, tolerance for one mount: rounding in a URDF, measuring by ruler
 _LOOK, _LOOKS = 1.0, 30  # s between comparisons of tf with base_pose after the start, and their maximum number
+TF, TF_STATIC = "/tf", "/tf_static"
+_DEPTH = 100  # messages, as in TransformListener
+_POLL = 0.02  # s between polls for a transform
+_DISCOVERY = 2.0  # s after the start during which a publisher may be undiscovered
+_NAMED = 5  # frames listed in a message
+_QUOTED = 60  # maximum characters of a frame's name in a message
+_SET_BACK = 1_000_000_000  # ns; a larger step back of the clock is a restart, e.g. of a simulation
+
+
+class TransformError(ValueError):
+    """A transform is not available now, perhaps later. The message states the reason and the remedy."""
+
+
+class UnknownFrame(TransformError):
+    """A frame is unknown or not connected. A retry does not help."""
+
+
+def installed() -> bool:
+    """Return whether tf2_ros can be imported."""
+    return importlib.util.find_spec("tf2_ros") is not None and importlib.util.find_spec("tf2_msgs") is not None
+
+
+class TfTree:
+    """The transforms of a node's tf.
+
+    Args:
+        node: subscriber of /tf and /tf_static; ages are by its clock.
+        given: timeout and maximum age of transforms.
+
+    Raises:
+        ImportError: tf2_msgs is not installed.
+    """
+
+    def __init__(self, node: Node, given: TransformParameters) -> None:
+        from tf2_msgs.msg import TFMessage
+
+        self._node = node
+        self._given = given
+        latched = QoSProfile(depth=_DEPTH, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._moving = PolledTopic(node, TFMessage, TF, QoSProfile(depth=_DEPTH))
+        self._fixed = PolledTopic(node, TFMessage, TF_STATIC, latched)
+        self._lock = threading.Lock()
+        self._waits = threading.Lock()  # one waiter at a time: goals in unknown frames must not occupy all workers
+        self._buffer: Any = None  # created when first needed: its import takes more memory than the readers
+        self._parents: dict[str, str] = {}
+        self._static: dict[str, Any] = {}
+        self._left_out: dict[str, float] = {}  # age (s) of the newest transform of frames with a wrong stamp
+        self._last = 0  # ns, the node's clock
+        self._started = time.monotonic()
+        self._closing = threading.Event()
+
+    def close(self) -> None:
+        """Wake all waiting threads."""
+        self._closing.set()
+
+    @property
+    def settling(self) -> float:
+        """Remaining time, s, in which published transforms may still arrive for the first time."""
+        patience = self._given.transform_timeout
+        if not any(self._node.count_publishers(topic.name) for topic in (self._fixed, self._moving)):
+            patience = min(patience, _DISCOVERY)
+        return max(0.0, self._started + patience - time.monotonic())
+
+    def knows(self, *frames: str) -> bool:
+        """Return whether tf has all these frames now."""
+        with self._lock:
+            self._read()
+            return all(self._knows(frame) for frame in frames)
+
+    def lookup(self, parent: str, child: str, stamp: Stamp | None = None, timeout: float | None = None) -> Pose:
+        """Return the pose of the frame `child` in the frame `parent`.
+
+        Args:
+            parent: full name.
+            child: full name.
+            stamp: time of the pose; None or zero = the newest transform. Between fixed frames any time is valid.
+            timeout: s, longest wait; only one caller at a time waits. None = `transform_timeout`.
+
+        Raises:
+            UnknownFrame: tf does not know a frame, or does not connect them.
+            TransformError: the transform, or the stamp, is older than `transform_age_max` or lies in the future.
+        """
+        patience = self._given.transform_timeout if timeout is None else timeout
+        alone = patience > 0.0 and self._waits.acquire(blocking=False)
+        try:
+            return self._wait(parent, child, stamp, patience if alone else 0.0)
+        finally:
+            if alone:
+                self._waits.release()
+
+    def _wait(self, parent: str, child: str, stamp: Stamp | None, patience: float) -> Pose:
+        end = time.monotonic() + patience
+        while True:
+            with self._lock:
+                self._read()
+                try:
+                    return self._found(parent, child, stamp)
+                except TransformError:
+                    if time.monotonic() >= end:
+                        raise
+            if self._closing.wait(_POLL):
+                raise TransformError("the node is shutting down; send the goal again when it is back")
+
+    def _read(self) -> None:
+        """Move new messages into the buffer."""
+        now = int(self._node.get_clock().now().nanoseconds)
+        if self._buffer is None or now < self._last - _SET_BACK:
+            self._begin()
+        self._last = now
+        for message, _ in self._fixed.take():
+            for each in message.transforms:
+                if each.header.stamp.sec >= 0:
+                    self._static[each.child_frame_id] = each
+                    self._take(each, fixed=True)
+        for message, _ in self._moving.take():
+            for each in message.transforms:
+                self._take_moving(each)
+
+    def _take_moving(self, transform: Any) -> None:
+        """Store a transform unless it is from the future: the buffer would treat it as the newest until then."""
+        stamp, child = transform.header.stamp, transform.child_frame_id
+        age = 1e-9 * (self._last - stamp.sec * 1_000_000_000 - stamp.nanosec)
+        if stamp.sec < 0 or age < -self._given.transform_age_max:
+            self._left_out[child] = age
+            self._parents.setdefault(child, transform.header.frame_id)
+            return
+        self._left_out.pop(child, None)
+        self._take(transform, fixed=False)
+
+    def _begin(self) -> None:
+        """Create a new buffer with only the static transforms, which are published once."""
+        try:
+            from tf2_ros import Buffer
+        except ImportError as error:
+            raise TransformError(
+                f"tf2_ros is installed but cannot be loaded ({error}): reinstall it and tf2_py; poses in charger_base "
+                "need no tf"
+            ) from error
+        self._buffer = Buffer()
+        self._parents.clear()
+        self._left_out.clear()
+        for each in self._static.values():
+            self._take(each, fixed=True)
+
+    def _take(self, transform: Any, fixed: bool) -> None:
+        put = self._buffer.set_transform_static if fixed else self._buffer.set_transform
+        put(transform, "tf")
+        self._parents[transform.child_frame_id] = transform.header.frame_id
+
+    def _knows(self, frame: str) -> bool:
+        return frame in self._parents or frame in self._parents.values()
+
+    def _found(self, parent: str, child: str, stamp: Stamp | None) -> Pose:
+        """Return the pose from the buffer; errors as in `lookup`."""
+        self._check_connected(parent, child)
+        newest = self._ask(parent, child, Time())
+        moves = Time.from_msg(newest.header.stamp).nanoseconds
+        if stamp is not None and stamp.sec < 0:
+            raise TransformError(f"the stamp is negative (sec {stamp.sec}): send 0 (newest) or the pose's time")
+        at = Time() if stamp is None else Time.from_msg(stamp)
+        if not moves or not at.nanoseconds:
+            what = f"the transform from {quoted(child)} to {quoted(parent)}"
+            self._check_age(moves, what, "check its publisher and the clocks")
+            return _numbers(newest)
+        what = f"the pose in {quoted(parent)}, which moves relative to {quoted(child)},"
+        self._check_age(at.nanoseconds, what, "send it with stamp 0 (newest) or with the time of sending")
+        return _numbers(self._ask(parent, child, at))
+
+    def _ask(self, parent: str, child: str, at: Time) -> Any:
+        from tf2_ros import TransformException
+
+        try:
+            return self._buffer.lookup_transform(parent, child, at)
+        except TransformException as error:
+            when = "at the time of its stamp" if at.nanoseconds else "now"
+            why = f"{error}{self._wrong_stamp(parent, child)}"
+            raise TransformError(
+                f"tf has no transform of {quoted(child)} in {quoted(parent)} {when}: {why}; send the pose with stamp 0 "
+                "(newest), and check the publishers of the transforms between them and the clocks"
+            ) from error
+
+    def _wrong_stamp(self, *frames: str) -> str:
+        """Return as text which transform above these frames was refused for its stamp; '' = none."""
+        child = next((each for frame in frames for each in self._above(frame) if each in self._left_out), None)
+        if child is None:
+            return ""
+        age = self._left_out[child]
+        when = f"{-age:.1f} s in the future" if age < 0.0 else "before 1970"
+        limit = self._given.transform_age_max
+        return f"; the newest transform of {quoted(child)} is stamped {when}, beyond transform_age_max ({limit:g} s)"
+
+    def _check_age(self, stamp: int, what: str, remedy: str) -> None:
+        """Refuse a stamp (ns) too far in the past or future; 0 = fixed, no check."""
+        age, limit = 1e-9 * (self._last - stamp), self._given.transform_age_max
+        if stamp and abs(age) > limit:
+            when = f"{age:.1f} s old" if age > 0.0 else f"{-age:.1f} s in the future"
+            raise TransformError(f"{what} is {when}, beyond transform_age_max ({limit:g} s): {remedy}")
+
+    def _check_connected(self, parent: str, child: str) -> None:
+        for frame in (parent, child):
+            if not self._knows(frame):
+                raise UnknownFrame(f"tf does not know the frame {quoted(frame)}; {self._known(frame)}")
+        roots = [self._above(frame)[-1] for frame in (parent, child)]
+        if roots[0] != roots[1]:
+            raise UnknownFrame(
+                f"tf does not connect {quoted(parent)} with {quoted(child)}: their roots are '{roots[0]}' and "
+                f"'{roots[1]}'; start the publisher of the transform between these, such as localization"
+            )
+
+    def _above(self, frame: str) -> list[str]:
+        """Return a frame and all its parents, the root last."""
+        found = {frame: None}
+        while (above := self._parents.get(frame)) is not None and above not in found:
+            found[frame := above] = None
+        return list(found)
+
+    def _known(self, frame: str) -> str:
+        """Return the known frames as text, nearest names first."""
+        known = sorted({*self._parents, *self._parents.values()})
+        if not known:
+            return "it knows none: nothing publishes to /tf or /tf_static in this domain"
+        near = difflib.get_close_matches(frame, known, _NAMED, 0.0)
+        return f"it knows {len(known)}, such as {', '.join(near)}"
+
+
+def _numbers(found: Any) -> Pose:
+    place, turn = found.transform.translation, found.transform.rotation
+    return place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w
+
+
+def quoted(frame: str) -> str:
+    """Return a frame's name, quoted and shortened for messages."""
+    return ascii(frame[:_QUOTED])
 
 
 class Contradiction(TransformError):

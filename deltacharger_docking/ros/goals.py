@@ -23,10 +23,9 @@ from deltacharger_docking.phase_log import changes
 from deltacharger_docking.ros import messages as io
 from deltacharger_ros.action_server import GoalHandle, Work, WorkServer
 from deltacharger_ros.clock import NO_TIME_YET, ClockWatch
-from deltacharger_ros.frames import Frames
+from deltacharger_ros.frames import Frames, TransformError
 from deltacharger_ros.messages import duration, seconds, to_result
 from deltacharger_ros.outcomes import place
-from deltacharger_ros.tf_tree import TransformError
 
 _ANSWER = 1.0  # s to see a goal's callback end when the node closes
 _FEEDBACK = 0.2  # s between feedbacks without a change

@@ -22,9 +22,8 @@ from deltacharger_docking.codes import PoseUnknown, Rejected
 from deltacharger_docking.observation import BasePose, ElectrodePose
 from deltacharger_docking.parameters import DockingNodeParameters
 from deltacharger_kinematics.trajectory_feed import Waypoint
-from deltacharger_ros.frames import Contradiction, Frames
+from deltacharger_ros.frames import Contradiction, Frames, TransformError, UnknownFrame
 from deltacharger_ros.messages import duration
-from deltacharger_ros.tf_tree import TransformError, UnknownFrame
 
 _GOAL_LEAN_STDDEV = math.radians(1.0)  # standard deviation of a goal's lean, which goals do not give
 

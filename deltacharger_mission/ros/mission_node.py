@@ -35,11 +35,10 @@ from deltacharger_mission.stage_log import StageLog
 from deltacharger_ros import node_support
 from deltacharger_ros.action_server import GoalHandle, Work, WorkServer
 from deltacharger_ros.diagnostics import OK, WARN, Diagnostics
-from deltacharger_ros.frames import Frames
+from deltacharger_ros.frames import Frames, TransformError
 from deltacharger_ros.log import Log
 from deltacharger_ros.messages import duration, to_result
 from deltacharger_ros.parameters import declare_all, reject_unknown
-from deltacharger_ros.tf_tree import TransformError
 from deltacharger_ros.tuning import Tuning
 
 _TICK = 0.05  # s

@@ -33,11 +33,11 @@ from deltacharger_core.quantity import quantity
 from deltacharger_ros import node_support
 from deltacharger_ros.clock import age, steady_timer
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
+from deltacharger_ros.frames import TfTree, TransformError, installed
 from deltacharger_ros.log import Log
 from deltacharger_ros.messages import seconds, unknown
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import SERVICE
-from deltacharger_ros.tf_tree import TfTree, TransformError, installed
 from deltacharger_ros.tuning import Regularly, Tuning
 from deltacharger_vision.detector.annotate import annotated
 from deltacharger_vision.detector.detector import ElectrodeDetector

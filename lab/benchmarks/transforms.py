@@ -2,7 +2,7 @@
 """CPU time of subscribing to a robot's /tf, for a node that needs it rarely: python lab/benchmarks/transforms.py.
 
 A second process publishes transforms. This one measures its CPU time without a listener, with the readers of
-deltacharger_ros.tf_tree, and with tf2_ros's TransformListener, and the time of a look-up. Needs tf2_ros.
+deltacharger_ros.frames, and with tf2_ros's TransformListener, and the time of a look-up. Needs tf2_ros.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from rclpy.node import Node
 from deltacharger_core import environment
 from deltacharger_core.frames import TransformParameters
 from deltacharger_ros.executor import Spinner
-from deltacharger_ros.tf_tree import TF, TfTree
+from deltacharger_ros.frames import TF, TfTree
 
 FRAMES = 4  # transforms in a message
 

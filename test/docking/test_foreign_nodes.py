@@ -29,8 +29,8 @@ from deltacharger_core.rotation import Pose as Numbers
 from deltacharger_core.rotation import composed
 from deltacharger_docking import energy
 from deltacharger_ros import qos
+from deltacharger_ros.frames import installed
 from deltacharger_ros.messages import CODES
-from deltacharger_ros.tf_tree import installed
 from deltacharger_scenes.overrides import Overrides, override
 from deltacharger_scenes.scene import Scene
 

@@ -25,8 +25,8 @@ from deltacharger_mission.dialogue import Stage
 from deltacharger_mission.places import Place
 from deltacharger_mission.ros.messages import fill_pose
 from deltacharger_ros.executor import Spinner
+from deltacharger_ros.frames import installed
 from deltacharger_ros.messages import CODES, duration, seconds
-from deltacharger_ros.tf_tree import installed
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import Scene, load_scene, parse_scene
 

@@ -24,9 +24,7 @@ from deltacharger_core.rotation import IDENTITY, Pose, apart, composed, inverted
 from deltacharger_docking.parameters import DockingNodeParameters
 from deltacharger_docking.ros.messages import electrodes, in_charger_base, seen
 from deltacharger_ros import frames as frames_module
-from deltacharger_ros import tf_tree
-from deltacharger_ros.frames import Contradiction, Frames
-from deltacharger_ros.tf_tree import TransformError, UnknownFrame
+from deltacharger_ros.frames import Contradiction, Frames, TransformError, UnknownFrame
 
 from ..chargers import DEADLINE, Spin, wait_until
 from ..nodes import options
@@ -240,7 +238,7 @@ def test_without_tf_nothing_waits_after_the_start_and_base_pose_is_logged_once(
 ) -> None:
     """Remapped topics count, their usual names do not."""
     kind = transforms().TFMessage
-    monkeypatch.setattr(tf_tree, "_DISCOVERY", 0.2)
+    monkeypatch.setattr(frames_module, "_DISCOVERY", 0.2)
     remapped = ["--ros-args", "-r", f"/tf:=/{namespace}/tf", "-r", f"/tf_static:=/{namespace}/tf_static"]
     node = Node("asker", **options(context, namespace), cli_args=remapped)
     frames = Frames(node, TransformParameters(transform_timeout=PATIENCE), "base_link", USUAL)

@@ -16,7 +16,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from deltacharger_lab.pages.interface_text import Interface, InterfacePart, read
 from deltacharger_lab.pages.parameters import write_page
-from deltacharger_ros.tf_tree import TF, TF_STATIC
+from deltacharger_ros.frames import TF, TF_STATIC
 
 _EVERY_NODES = ("/parameter_events", "/rosout", "/clock")  # topics that every ROS node has
 _EVERY_NODES_TYPES = ("rcl_interfaces", "type_description_interfaces")  # of services that every ROS node has
