@@ -35,9 +35,8 @@ from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import node_support
 from deltacharger_ros.clock import steady_timer
 from deltacharger_ros.log import Log
-from deltacharger_ros.parameters import declare_all, reject_unknown
+from deltacharger_ros.parameters import declare_all, declare_with_servos, reject_unknown
 from deltacharger_ros.qos import SERVICE
-from deltacharger_ros.servos_file import declare_with_servos
 
 _DEFAULT_DEPTH = 10
 POINTS_MAX = 1_000_000

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Declares a package's parameters as ROS parameters of a node."""
+"""Declares a package's parameters as ROS parameters of a node; a file of measured servos may set them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import sys
 import weakref
 from array import array
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -18,7 +18,9 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from deltacharger_core.bounded_file import given_path
 from deltacharger_core.parameters import Declaration, ParameterError, declared, did_you_mean
+from deltacharger_core.servos_file import MeasuredServos, ServosFileParameters, load_servos
 from deltacharger_core.yaml_file import read_yaml
 from deltacharger_ros.log import Log
 from deltacharger_ros.node_support import StartupError
@@ -53,6 +55,52 @@ def declare_all(node: Node, table: type[T], defaults: Any = None, form: str = "{
         return table(**values)
     except ParameterError as error:
         raise _refusal(node, prefix + error.key, error.problem) from error
+
+
+def declare_with_servos(node: Node, table: type[T], follows: Mapping[str, str], form: str = "{text} ({unit})") -> T:
+    """Declare every parameter of a class on the node; those of its servos take their values from `servos_file`.
+
+    With a `servos_file` its values are used and shown in the parameters. A parameter that is given as well must have
+    the same value.
+
+    Args:
+        node: owner of the parameters.
+        table: a parameter class without groups, all of whose parameters have defaults.
+        follows: parameter name to key in the file, for the parameters that the file sets.
+        form: format of the descriptions, see `Declaration.description`.
+
+    Raises:
+        StartupError: the file is missing or invalid, a value is out of range, or a given parameter differs.
+    """
+    file = declare_all(node, ServosFileParameters).servos_file
+    if not file:
+        return declare_all(node, table, form=form)
+    servos = _measured(node, file)
+    measured = {name: getattr(servos, key) for name, key in follows.items()}
+    try:
+        defaults = replace(table(), **measured)  # type: ignore[type-var]
+        given = declare_all(node, table, defaults=defaults, form=form)
+    except (StartupError, ValueError) as error:
+        raise StartupError(f"{error} (servos_file '{file}')") from error
+    for name, value in measured.items():
+        if getattr(given, name) != value:
+            raise StartupError(
+                f"{node.get_name()}: parameter '{name}' is {getattr(given, name)!r}, but parameter 'servos_file' "
+                f"('{file}') has {value!r}; remove '{name}', or measure the servos again"
+            )
+    return given
+
+
+def _measured(node: Node, file: str) -> MeasuredServos:
+    where = given_path(file).absolute()
+    try:
+        return load_servos(where)
+    except OSError as error:
+        reason = error.strerror or error
+        problem = f"'{where}' cannot be read: {reason}; give a file of measured servos, or remove the parameter"
+    except ValueError as error:
+        problem = str(error)
+    raise StartupError(f"{node.get_name()}: parameter 'servos_file': {problem}")
 
 
 def was_given(node: Node, name: str) -> bool:

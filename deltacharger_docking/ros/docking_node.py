@@ -38,8 +38,7 @@ from deltacharger_ros import node_support, qos
 from deltacharger_ros.clock import before_now
 from deltacharger_ros.frames import Frames
 from deltacharger_ros.log import Log
-from deltacharger_ros.parameters import declare_all, reject_unknown
-from deltacharger_ros.servos_file import declare_with_servos
+from deltacharger_ros.parameters import declare_all, declare_with_servos, reject_unknown
 from deltacharger_ros.tuning import Tuning
 
 _SERVOS_FOLLOW = {"servo_stiffness": "stiffness", "torque_constant": "torque_constant"}  # names in servos_file

@@ -56,9 +56,8 @@ from deltacharger_ros.diagnostics import Diagnostics
 from deltacharger_ros.duplicates import publishers
 from deltacharger_ros.executor import order_age
 from deltacharger_ros.log import Log
-from deltacharger_ros.parameters import declare_all, reject_unknown
+from deltacharger_ros.parameters import declare_all, declare_with_servos, reject_unknown
 from deltacharger_ros.qos import LATEST, SERVICE
-from deltacharger_ros.servos_file import declare_with_servos
 
 _DIAGNOSTICS_PERIOD = 1.0  # s
 _REFUSAL_PERIOD = 0.2  # s between two diagnostics while trajectories are refused
