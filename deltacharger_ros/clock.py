@@ -18,6 +18,8 @@ from deltacharger_core.host_clock import HOST, HostClock
 from deltacharger_ros.messages import seconds
 
 NO_TIME_YET = "use_sim_time is set, but no message arrived on /clock: start its publisher, or set use_sim_time to false"
+ANOTHER_CLOCK = 1e6
+"""s; a stamp this old, or this far ahead, is from another clock."""
 _RESTS = 0.1  # s of real time without a step until /clock is reported; a simulator steps at least 50 times a second
 _BACK = 0.1  # s, smallest step back that is reported
 _LOOK = 0.1  # s between checks whether the node follows /clock

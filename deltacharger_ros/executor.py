@@ -22,7 +22,7 @@ from rclpy.task import Future, Task
 
 from deltacharger_core.environment import refuse_ros
 from deltacharger_core.host_clock import HOST
-from deltacharger_ros.refusals import ANOTHER_CLOCK
+from deltacharger_ros.clock import ANOTHER_CLOCK
 
 try:
     from rclpy.experimental.events_executor import EventsExecutor

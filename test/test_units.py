@@ -20,9 +20,9 @@ from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import DockGoal, ElectrodePose, Observation
 from deltacharger_docking.parameters import DockingNodeParameters, DockingParameters
 from deltacharger_docking.ros.inputs import _in_order
+from deltacharger_docking.ros.refusals import MessageRefused
 from deltacharger_mission.parameters import MissionNodeParameters, MissionParameters
 from deltacharger_mission.ros import messages as mission
-from deltacharger_ros.refusals import MessageRefused
 from deltacharger_scenes.scene import parse_scene
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.parameters import DetectorNodeParameters

@@ -21,17 +21,16 @@ from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, JOINTS, PADS, ROWS
 from deltacharger_core.units import outside
 from deltacharger_docking.observation import Observation, Reply
 from deltacharger_docking.ros.frame_check import FrameCheck
-from deltacharger_ros.clock import ClockWatch, age
-from deltacharger_ros.duplicates import Duplicates
-from deltacharger_ros.log import Log
-from deltacharger_ros.on_demand import LatestMessage, PolledTopic
-from deltacharger_ros.refusals import (
-    ANOTHER_CLOCK,
+from deltacharger_docking.ros.refusals import (
     MessageRefused,
     Refusals,
     stamp_and_sequence,
     stamp_seconds,
 )
+from deltacharger_ros.clock import ANOTHER_CLOCK, ClockWatch, age
+from deltacharger_ros.duplicates import Duplicates
+from deltacharger_ros.log import Log
+from deltacharger_ros.on_demand import LatestMessage, PolledTopic
 
 _BACKLOG = 64  # tactile frames, half a second: frames are kept while docking's thread is delayed
 _FRAME_MAX = 16_384  # bytes; a tactile frame has 900

@@ -17,10 +17,10 @@ from deltacharger_docking.codes import State
 from deltacharger_docking.observation import Decision, DockingStatus, Observation
 from deltacharger_docking.phase_log import PhaseLog, changes
 from deltacharger_docking.ros.inputs import SOURCES
+from deltacharger_docking.ros.refusals import Refusals
 from deltacharger_ros.clock import before_now
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
 from deltacharger_ros.log import Log
-from deltacharger_ros.refusals import Refusals
 
 _DECISIONS = 50  # depth: holds all decisions of a docking while a reader is busy
 _DIAGNOSTICS = 1.0  # s

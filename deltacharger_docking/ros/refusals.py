@@ -7,9 +7,6 @@ from typing import Any
 
 from deltacharger_ros.messages import seconds
 
-ANOTHER_CLOCK = 1e6
-"""s; a stamp this old, or this far ahead, is from another clock."""
-
 
 class MessageRefused(Exception):
     """A message is refused. Example: its stamp lies in the future."""
