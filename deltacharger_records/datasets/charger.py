@@ -36,11 +36,11 @@ from deltacharger_records.datasets.arm_client import ArmError, ArmGuest
 from deltacharger_records.datasets.journal import Docking, Journal, Settings
 from deltacharger_records.datasets.session import NotKept, Part, Rested, TouchSession
 from deltacharger_records.node_parameters import docking_settings
+from deltacharger_records.raw_topics import listen
 from deltacharger_records.recording import mcap_recording
 from deltacharger_ros.clock import before_now
 from deltacharger_ros.log import Log
 from deltacharger_ros.qos import SERVICE
-from deltacharger_ros.raw_topics import listen
 
 _RECORDED = ("tactile_frame", "servo_state", "charger_power", mcap_recording.STATE)
 TOPICS = tuple(topic for topic in mcap_recording.TOPICS if topic.name in _RECORDED)

@@ -28,8 +28,8 @@ from deltacharger_core.files import atomic_write, make_folder, remove_unfinished
 from deltacharger_core.mcap_file import McapFile, Raw, RecordingError
 from deltacharger_core.version import package_version
 from deltacharger_records.datasets.session import SETS, SUBSETS, Part
+from deltacharger_records.raw_topics import Topic
 from deltacharger_records.recording.mcap_recording import McapWriter
-from deltacharger_ros.raw_topics import Topic
 from deltacharger_tactile.dataset import VERSION, Dataset
 
 _AS_KEPT = ("angle", "vertical", "horizontal", "current")

@@ -24,10 +24,10 @@ from deltacharger_core.mcap_file import Raw, RecordingError
 from deltacharger_core.texts import REQUEST_ID_MAX, cut
 from deltacharger_docking.codes import Code, State
 from deltacharger_records.node_parameters import with_geometry
+from deltacharger_records.raw_topics import Topic
 from deltacharger_records.recording.folder import ABOUT, END, PARAMETERS, RESULT, RecordFolder, head
 from deltacharger_records.recording.mcap_recording import ALWAYS, DECISION, STATE, McapStream, pack
 from deltacharger_ros.outcomes import Outcome
-from deltacharger_ros.raw_topics import Topic
 
 _FLUSH = 1.0  # s of messages that a killed recorder loses at most
 _PRUNE = 10.0  # s between checks of the folder's size while recording

@@ -25,6 +25,7 @@ from deltacharger_core.mcap_file import Raw, RecordingError, require_mcap
 from deltacharger_core.version import package_version
 from deltacharger_records.node_parameters import ParameterReader
 from deltacharger_records.parameters import DockingRecorderNodeParameters
+from deltacharger_records.raw_topics import PolledTopics
 from deltacharger_records.recording.docking_recorder import DockingRecorder
 from deltacharger_records.recording.folder import RecordFolder
 from deltacharger_records.recording.mcap_recording import ACTIONS, STATE, TOPICS, schema_text
@@ -34,7 +35,6 @@ from deltacharger_ros.log import Log
 from deltacharger_ros.messages import to_outcome
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import SERVICE
-from deltacharger_ros.raw_topics import PolledTopics
 
 _POLL = 0.02  # s between reads of the topics
 _TICK = 0.2  # s between calls of the recorder's `tick`

@@ -33,9 +33,9 @@ from trajectory_msgs.msg import JointTrajectory
 
 from deltacharger_core.files import atomic_write
 from deltacharger_core.mcap_file import DamagedRecording, McapFile, Raw, RecordingError, require_mcap
+from deltacharger_records.raw_topics import Topic
 from deltacharger_records.recording.folder import ABOUT, LIBRARY
 from deltacharger_ros import qos
-from deltacharger_ros.raw_topics import Topic
 
 _DEFAULT = QoSProfile(depth=qos.DEFAULT_DEPTH)
 

@@ -18,6 +18,7 @@ from deltacharger_docking.contact_current import ContactCurrent
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_records.raw_topics import PolledTopics, Topic
 from deltacharger_records.recording.mcap_recording import DECISION, STATE, Recording, decode
 from deltacharger_records.recording.mcap_recording import TOPICS as RECORDED
 from deltacharger_records.replay.words import numbers
@@ -27,7 +28,6 @@ from deltacharger_records.view.shapes import pad_picture
 from deltacharger_ros import qos
 from deltacharger_ros.guest import Guest
 from deltacharger_ros.messages import CODES, PHASES
-from deltacharger_ros.raw_topics import PolledTopics, Topic
 
 SERVOS, PADS, POWER, FELT, SEEN = (
     "servo_state", "tactile_frame", "charger_power", "misalignment", "electrode_detection",

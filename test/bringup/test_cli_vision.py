@@ -201,9 +201,9 @@ def record(path: Path, *images: tuple[str, Array, int], info: bool = True) -> Pa
     from builtin_interfaces.msg import Time
     from sensor_msgs.msg import Image
 
+    from deltacharger_records.raw_topics import Topic
     from deltacharger_records.recording.mcap_recording import McapWriter
     from deltacharger_ros import qos
-    from deltacharger_ros.raw_topics import Topic
     from deltacharger_vision.ros.messages import camera_info_message
 
     messages: list[tuple[str, Any, int]] = [("/color/camera_info", camera_info_message(OAK_D, Time()), 0)] * info

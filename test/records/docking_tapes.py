@@ -17,10 +17,11 @@ from rclpy.serialization import serialize_message
 
 from deltacharger_core.mcap_file import Raw
 from deltacharger_docking.codes import Code, State
+from deltacharger_records.raw_topics import Topic
 from deltacharger_records.recording.folder import ABOUT, PARAMETERS, RESULT
 from deltacharger_records.recording.mcap_recording import TOPICS, McapWriter
+from deltacharger_ros.messages import unknown_misalignment
 from deltacharger_ros.outcomes import Outcome
-from deltacharger_ros.raw_topics import Topic
 
 BEGAN = 1_795_000_000 * 10**9  # ns since 1970
 NAMES = {topic.name: f"/a/{topic.name}" for topic in TOPICS}

@@ -24,8 +24,8 @@ from deltacharger_bringup.cli.main import main
 from deltacharger_docking.codes import State
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_records.raw_topics import Topic
 from deltacharger_ros import qos
-from deltacharger_ros.raw_topics import Topic
 
 from ..bringup.command import Capture, answer, refuses, run
 from ..chargers import Process, new_namespace, wait_until

@@ -20,9 +20,9 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
+from deltacharger_records.raw_topics import Topic
 from deltacharger_ros import qos
 from deltacharger_ros.node_support import StartupError
-from deltacharger_ros.raw_topics import Topic
 from deltacharger_vision.cameras.camera_info import from_camera_info
 from deltacharger_vision.cameras.camera_node import CameraNode, RecordingPlayer
 from deltacharger_vision.cameras.keeper import CameraUnavailable
