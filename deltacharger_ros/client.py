@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A client of the charger's actions, for fleet managers and scripts.
+"""Client programs: a node for any of them, and a client of the charger's actions for fleet managers and scripts.
 
 The client has its own small node and executor, so it works in any program::
 
@@ -14,20 +14,23 @@ from __future__ import annotations
 import math
 import threading
 import time
+import uuid
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 import rclpy
 from deltacharger.action import Dock, Undock
 from deltacharger.msg import DockingState
 from rclpy.action.client import ActionClient
 from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from deltacharger_core.frames import CHARGER_BASE
 from deltacharger_ros.action_caller import FORGOTTEN, LOST, ONE_USER, Echo, SentGoal
-from deltacharger_ros.guest import Guest
+from deltacharger_ros.executor import Spinner
 from deltacharger_ros.messages import duration, fill_pose, to_outcome, to_progress
 from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, Progress
 from deltacharger_ros.qos import ACTION, STATE
@@ -38,13 +41,87 @@ _INPUTS = ("servo_state", "tactile_frame", "charger_power")
 _LOST_AFTER = 5.0  # s without an action server in the graph, or without its answer, before it counts as lost
 _CANCEL_GRACE = 60.0  # s that a cancelled goal may take to make itself safe and retract
 _LAST_ANSWER = 0.5  # s for the response to a goal that is to be cancelled
+_GUEST_POLL = 0.02  # s between checks of a condition
 _POLL = 0.1  # s between checks of deadline, cancel request and server while a goal runs
 
+Self = TypeVar("Self", bound="Guest")
 ProgressCallback = Callable[[Progress], None]
 
 
 class ClientError(RuntimeError):
     """The charger is missing, disappeared or did not answer in time."""
+
+
+class Guest:
+    """Base of client programs; leaves the graph at the end of a `with` block.
+
+    Args:
+        name: beginning of the node's name.
+        context: a running rclpy context.
+        namespace: namespace of the charger.
+
+    Attributes:
+        node: the ROS node.
+        waitables: action clients and servers of the node, destroyed after it was served.
+    """
+
+    def __init__(self, name: str, context: Context, namespace: str) -> None:
+        self.node = Node(
+            f"{name}_{uuid.uuid4().hex[:8]}",
+            context=context,
+            namespace=namespace,
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+            parameter_overrides=[Parameter("start_type_description_service", value=False)],  # not needed
+        )
+        self._spinner: Spinner | None = None
+        self.waitables: list[Any] = []
+        self._open = True
+
+    def serve(self) -> None:
+        """Start to serve the node."""
+        self._spinner = Spinner(self.node)
+
+    def wait(
+        self,
+        condition: Callable[[], bool],
+        timeout: float,
+        check: Callable[[], None] | None = None,
+        stop: threading.Event | None = None,
+    ) -> bool:
+        """Wait for `condition` at most `timeout` s or until `stop` is set; return whether it became true.
+
+        Args:
+            condition: polled.
+            timeout: s.
+            check: called at each poll; may raise.
+            stop: ends the wait early when set.
+        """
+        end = time.monotonic() + timeout
+        while not condition():
+            if check is not None:
+                check()
+            if time.monotonic() > end or (stop is not None and stop.is_set()):
+                return False
+            time.sleep(_GUEST_POLL)
+        return True
+
+    def close(self) -> None:
+        """Leave the graph. Safe to call twice."""
+        if not self._open:
+            return
+        self._open = False
+        if self._spinner is not None:
+            self._spinner.close(*self.waitables)
+        else:
+            self.node.destroy_node()
+
+    def __enter__(self: Self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
 
 
 class ChargerClient(Guest):

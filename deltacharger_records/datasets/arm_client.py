@@ -38,7 +38,7 @@ from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_kinematics.trajectory_feed import Waypoint
 from deltacharger_records.node_parameters import ParameterReader
 from deltacharger_ros import qos
-from deltacharger_ros.guest import Guest
+from deltacharger_ros.client import Guest
 
 SPEED = 0.06  # m/s, peak; a person may stand close by
 STILL = 2.5 * TICK  # rad; an arm whose angles vary by less is at rest

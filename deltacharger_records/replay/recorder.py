@@ -15,8 +15,8 @@ from deltacharger_records.node_parameters import ParameterReader, known_settings
 from deltacharger_records.recording.mcap_recording import TOPICS
 from deltacharger_records.replay.run import Run, RunBuilder
 from deltacharger_ros import qos
+from deltacharger_ros.client import Guest
 from deltacharger_ros.clock import steady_timer
-from deltacharger_ros.guest import Guest
 from deltacharger_ros.outcomes import Outcome
 
 _ASK = 0.1  # s between attempts to read docking_node's parameters

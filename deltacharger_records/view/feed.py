@@ -26,7 +26,7 @@ from deltacharger_records.view.animation import Animation
 from deltacharger_records.view.log import ViewLog
 from deltacharger_records.view.shapes import pad_picture
 from deltacharger_ros import qos
-from deltacharger_ros.guest import Guest
+from deltacharger_ros.client import Guest
 from deltacharger_ros.messages import CODES, PHASES
 
 SERVOS, PADS, POWER, FELT, SEEN = (

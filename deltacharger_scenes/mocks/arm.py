@@ -1,39 +1,43 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The mock nodes' arm: it follows its goals, up to a plane that it presses on.
+"""The mock nodes' arm: three servos on the real geometry, and one elastic plane to press on and stick to.
 
-It has no mass and no friction: deltacharger_sim has the realistic arm; this one is for tests of nodes.
+It is deliberately simple: deltacharger_sim has the realistic arm; this one is for tests of nodes, not of physics. Its
+servos have a rotor, because docking measures their damping by a jump.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 from deltacharger_core.machine import (
     CURRENT_BOUND,
     DOCK_DISTANCE,
     GRAVITY,
-    SERVO_DAMPING,
+    SERVO_INERTIA,
     SERVO_STIFFNESS,
     TORQUE_CONSTANT,
 )
 from deltacharger_kinematics.scalar import ScalarDelta
 
-_GIVE = 0.05  # share of a way into the target that the platform goes; the servos' springs take the rest
+Vector = tuple[float, float, float]
+_DAMPING = 0.3  # N·m·s/rad of a servo, little, so that tests are quick
+_CONTACT = 2e4  # N/m of the plane, in every direction
+_STEP = 0.002  # s; the stiffest motion (contact, all three servos) decays in 9 ms, so explicit steps stay stable
 
 
 class MockArm:
-    """Three servos, each a spring and a damper between goal and angle, that carry the arm's weight and press.
+    """Three servos that follow their goals, and a platform that presses on a plane.
 
     Args:
-        target_z: m in charger_base, plane in which contact begins; a pressed platform sticks to it.
+        target_z: m in charger_base, plane in which contact begins.
 
     Attributes:
         angles: rad, measured.
         velocities: rad/s.
         currents: A, signed: torque over torque constant.
+        goals: rad.
         bounds: A, largest current of each servo.
-        torque_enabled: per servo; without torque of all three the arm stays, for its gears hold it.
+        torque_enabled: per servo; a servo without torque keeps its angle (its gear holds it).
         jammed: nothing moves, as if the magnets did not release.
     """
 
@@ -41,41 +45,47 @@ class MockArm:
         self._target_z = target_z
         self._delta = ScalarDelta()
         self.angles = list(self._delta.inverse(0.0, 0.0, 0.0))
+        self.goals = list(self.angles)
         self.velocities, self.currents = [0.0] * 3, [0.0] * 3
         self.bounds = [CURRENT_BOUND] * 3
         self.torque_enabled = [False] * 3
         self.jammed = False
-        self._touched: tuple[float, float] | None = None
+        self._touched: Vector | None = None
 
     @property
-    def position(self) -> tuple[float, float, float]:
+    def position(self) -> Vector:
         """Platform position, m in charger_base."""
         return self._delta.forward(*self.angles)
 
-    def follow(self, goals: Sequence[float], duration: float) -> None:
-        """Go where these goals (rad) take the arm, for `duration` s."""
-        before = list(self.angles)
-        if all(self.torque_enabled) and not self.jammed:
-            held = self._delta.holding_torque(*self.position, GRAVITY)
-            free = [goal - hold / SERVO_STIFFNESS for goal, hold in zip(goals, held, strict=True)]
-            ends = self._delta.inverse(*self._stopped(self._delta.forward(*free)))
-            left = math.exp(-duration * SERVO_STIFFNESS / SERVO_DAMPING)
-            self.angles = [end + left * (angle - end) for angle, end in zip(before, ends, strict=True)]
-        for index, powered in enumerate(self.torque_enabled):
-            velocity = (self.angles[index] - before[index]) / duration
-            torque = SERVO_STIFFNESS * (goals[index] - self.angles[index]) - SERVO_DAMPING * velocity
-            bound = self.bounds[index] if powered else 0.0
-            self.currents[index] = min(max(torque / TORQUE_CONSTANT, -bound), bound)
-            self.velocities[index] = velocity
+    def advance(self, duration: float) -> None:
+        """Advance by `duration` s."""
+        steps = max(1, math.ceil(duration / _STEP))
+        for _ in range(steps):
+            self._step(duration / steps)
 
-    def _stopped(self, goal: tuple[float, float, float]) -> tuple[float, float, float]:
-        """Return the place of a platform that would be at `goal` (m) if the target were not there."""
-        x, y, z = goal
-        if not z > self._target_z:
+    def _step(self, dt: float) -> None:
+        position = self.position
+        held = self._delta.holding_torque(*position, GRAVITY)
+        pressed = self._delta.torque(*position, self._contact_force(position))
+        before = list(self.angles)
+        for index, (hold, press) in enumerate(zip(held, pressed, strict=True)):
+            if not self.torque_enabled[index]:
+                self.currents[index] = self.velocities[index] = 0.0
+                continue
+            bound = self.bounds[index] * TORQUE_CONSTANT
+            wanted = SERVO_STIFFNESS * (self.goals[index] - self.angles[index]) - _DAMPING * self.velocities[index]
+            torque = min(max(wanted, -bound), bound)
+            self.currents[index] = torque / TORQUE_CONSTANT
+            if not self.jammed:
+                self.velocities[index] += dt * (torque - hold - press) / SERVO_INERTIA
+                self.angles[index] += dt * self.velocities[index]
+        if not math.isfinite(self.position[0]):
+            self.angles, self.velocities = before, [0.0] * 3  # the rods' end stop
+
+    def _contact_force(self, position: Vector) -> Vector:
+        """Return the platform's force on the plane (N); it sticks where it touched."""
+        if position[2] <= self._target_z:
             self._touched = None
-            return goal
-        if self._touched is None:
-            self._touched = (x, y)
-        first_x, first_y = self._touched
-        deep = self._target_z + _GIVE * (z - self._target_z)
-        return first_x + _GIVE * (x - first_x), first_y + _GIVE * (y - first_y), deep
+            return 0.0, 0.0, 0.0
+        x, y, _ = self._touched = self._touched or position
+        return _CONTACT * (position[0] - x), _CONTACT * (position[1] - y), _CONTACT * (position[2] - self._target_z)

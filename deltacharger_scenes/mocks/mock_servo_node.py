@@ -110,8 +110,8 @@ class MockServoNode(Node):
             with self._lock:
                 self._apply_fault()
                 self._goals.advance(now)
-                self._arm.bounds = list(self._goals.bounds)
-                self._arm.follow(self._goals.angles, max(now - last, 1e-3))
+                self._arm.goals, self._arm.bounds = list(self._goals.angles), list(self._goals.bounds)
+                self._arm.advance(min(now - last, 0.1))
                 message = self._message()
                 message.header.stamp = stamp  # of the arm, however long this takes
             last = now

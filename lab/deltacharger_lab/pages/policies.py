@@ -18,8 +18,7 @@ from deltacharger_lab.pages.topics import Endpoint, endpoints, everything
 from deltacharger_records.datasets.arm_client import ArmClient
 from deltacharger_records.datasets.charger import RecordingCharger
 from deltacharger_records.replay.recorder import Recorder
-from deltacharger_ros.client import ChargerClient
-from deltacharger_ros.guest import Guest
+from deltacharger_ros.client import ChargerClient, Guest
 
 FOLDER = Path(__file__).parents[3] / "config" / "security"
 _GRANTS = {
