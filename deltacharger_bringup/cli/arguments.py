@@ -30,6 +30,7 @@ from deltacharger_core.units import ON_ROBOT
 from deltacharger_core.version import package_version
 
 DEFAULT_SCENE = "simulated"
+_PICTURES = (".png", ".pdf", ".svg", ".jpg", ".jpeg")
 
 
 class Parser(argparse.ArgumentParser):
@@ -177,9 +178,6 @@ SEED = integer(0, 2**32 - 1)
 def deadline(text: str) -> float:
     """Return seconds; 0 means none, as for the other limits."""
     return NOT_NEGATIVE(text) or math.inf
-
-
-_PICTURES = (".png", ".pdf", ".svg", ".jpg", ".jpeg")
 
 
 def file_to_read(flag: str, name: str) -> Path:

@@ -44,6 +44,13 @@ from deltacharger_kinematics.geometry_file import geometry_to_mapping, load_geom
 if TYPE_CHECKING:
     from deltacharger_records.datasets.arm_client import ArmClient
 
+_WORST = 5  # rows to name
+_UNEXPLAINED = 2.0  # scatter; below it the stated uncertainties are plausible
+_SUSPICIOUS = 3.0  # tolerances; a well-built arm hardly ever differs more
+_STOPPED = 0.010  # m from the pose; a larger distance means an obstacle
+_DOUBTFUL = 0.020  # m between measured and predicted position; more is a typing error rather than a badly built arm
+_POLL = 0.1  # s between checks of the arm during input
+
 
 def refusing(path: str) -> contextlib.AbstractContextManager[None]:
     """Report an invalid file of measurements with exit code 2 and its lines."""
@@ -70,11 +77,6 @@ def geometry_of(path: str | None) -> DeltaGeometry:
     """
     with wrong_input(ValueError, file=path):
         return DeltaGeometry() if path is None else load_geometry(path)
-
-
-_WORST = 5  # rows to name
-_UNEXPLAINED = 2.0  # scatter; below it the stated uncertainties are plausible
-_SUSPICIOUS = 3.0  # tolerances; a well-built arm hardly ever differs more
 
 
 def add_kinematics(parser: argparse.ArgumentParser) -> None:
@@ -273,11 +275,6 @@ def _table(found: GeometryCalibration) -> list[str]:
     if far.any():
         lines.append(f"! more than {_SUSPICIOUS:g} tolerances from nominal")
     return [line.rstrip() for line in lines]
-
-
-_STOPPED = 0.010  # m from the pose; a larger distance means an obstacle
-_DOUBTFUL = 0.020  # m between measured and predicted position; more is a typing error rather than a badly built arm
-_POLL = 0.1  # s between checks of the arm during input
 
 
 class Answers:

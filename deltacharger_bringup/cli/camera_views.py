@@ -40,6 +40,10 @@ _IMAGE = "image"
 _JOINTS = {RADIANS: 1.0, DEGREES: math.radians(1.0)}
 _GROUPS = POSITION_COLUMNS | _JOINTS
 _KNOWN = (_IMAGE, *(name for group in _GROUPS for name in group))
+_INSET = 0.95  # of the workspace; a real arm reaches some millimetres less than its model
+_SPARE = 1.1  # of the board's half diagonal that must be in the image
+_NEAREST = 0.03  # m before the camera
+_TRIED = 4096
 
 
 class ViewsError(Picklable, ValueError):
@@ -238,12 +242,6 @@ def _pixels(path: Path, intrinsics: Intrinsics) -> NDArray[np.uint8]:
             "give images and --camera-info of one size",
         )
     return pixels
-
-
-_INSET = 0.95  # of the workspace; a real arm reaches some millimetres less than its model
-_SPARE = 1.1  # of the board's half diagonal that must be in the image
-_NEAREST = 0.03  # m before the camera
-_TRIED = 4096
 
 
 def view_places(

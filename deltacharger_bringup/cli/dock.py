@@ -49,15 +49,17 @@ if TYPE_CHECKING:
     from deltacharger_scenes.composition import Composition
     from deltacharger_scenes.scene import Scene
 
+_DEFAULT_PICTURE = "dock.png"
+
 
 def _result(outcome: Outcome, more: dict[str, Any], code: int, remarks: Sequence[str] = ()) -> Result:
     """Return the result of an action."""
     lines = [f"{outcome.action}: {outcome.ending()}"]
     suggested = None if outcome.success else outcome.details.get("suggested_base_pose")
     if suggested:
-        place = ", ".join(f"{1e3 * value:.1f}" for value in suggested["position"])
+        where = ", ".join(f"{1e3 * value:.1f}" for value in suggested["position"])
         turn = f", turned by {math.degrees(suggested['yaw']):+.1f}° about its y" if suggested["yaw"] else ""
-        lines.append(f"  possible with charger_base at ({place}) mm of {suggested['frame_id']}{turn}")
+        lines.append(f"  possible with charger_base at ({where}) mm of {suggested['frame_id']}{turn}")
     return Result("\n".join(lines), {**outcome.as_dict(), **more}, code, remarks)
 
 
@@ -100,9 +102,6 @@ class PhasePrinter:
         if progress.waiting_for:
             columns.append(f"waits for {progress.waiting_for}")
         log_line("  ".join(columns))
-
-
-_DEFAULT_PICTURE = "dock.png"
 
 
 def add_dock(parser: argparse.ArgumentParser) -> None:

@@ -32,6 +32,7 @@ from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 
 _QUIET = 0.6  # s without a byte from any host; then no node is left that could switch off torque or contactor
 _LONGEST_LINGER = 3.0  # s
+_FLAGS = {"last": "--for-s", "servo": "--servo", "amount": "--amount"}
 
 
 def add_simulate(parser: argparse.ArgumentParser) -> None:
@@ -70,9 +71,6 @@ def simulate(options: argparse.Namespace) -> Result:
             Path(options.record).write_text(json.dumps(json_ready(record), indent=2) + "\n", encoding="utf-8")
         remark = "in the simulated world: " + ", ".join(f"{key} {value}" for key, value in record.items())
         return Result(code=DONE if options.as_node else interrupts.exit_code(DONE), remarks=[remark])
-
-
-_FLAGS = {"last": "--for-s", "servo": "--servo", "amount": "--amount"}
 
 
 def add_fault(parser: argparse.ArgumentParser) -> None:

@@ -34,6 +34,8 @@ from deltacharger_vision.ros.messages import intrinsics_of, slash_hint
 _IMAGE = 5.0  # s; limit for an image
 _BLIND = 6  # positions without the board before giving up
 _SHARE = 3  # positions tried per wanted view
+_SAME_CLOCK = 10.0  # s between stamp and arrival; beyond it the camera has another clock
+_LATENCY = 0.5  # s; largest latency of an image of such a camera
 
 
 def take(
@@ -130,10 +132,6 @@ def _unseen(board: Board, image: np.ndarray) -> str:
     others = ", ".join(markers_in(image)[:5])
     hint = f"it shows {others}: give the right --board" if others else "is the board there, lit, and facing the camera?"
     return f"no image of {_BLIND} positions shows {board.name}; {hint}"
-
-
-_SAME_CLOCK = 10.0  # s between stamp and arrival; beyond it the camera has another clock
-_LATENCY = 0.5  # s; largest latency of an image of such a camera
 
 
 class CameraError(RuntimeError):

@@ -16,6 +16,9 @@ from deltacharger_core.machine import BAUD_RATE
 RULES = "config/udev/99-deltacharger.rules"
 _RULES_ADVICE = f"install {RULES}, see docs/hardware.md"
 _SLOW_LATENCY = 2e-3  # s; above it 100 Hz with three servos is impossible
+_MYRIAD = "03e7"
+"""USB vendor of the camera's processor, before and after boot."""
+_INSTEAD = "give the coordinates with `deltacharger dock --x-mm --y-mm --z-mm`, or the key 'goal' of the scene"
 
 
 def examine_port(part: str, path: str) -> Iterator[Finding]:
@@ -109,11 +112,6 @@ def _commands() -> Iterator[str]:
     for process in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):  # it has ended
             yield (process / "comm").read_text(errors="replace")
-
-
-_MYRIAD = "03e7"
-"""USB vendor of the camera's processor, before and after boot."""
-_INSTEAD = "give the coordinates with `deltacharger dock --x-mm --y-mm --z-mm`, or the key 'goal' of the scene"
 
 
 def examine_camera(publishers: int | None, devices: Path = Path("/sys/bus/usb/devices")) -> Iterator[Finding]:

@@ -22,6 +22,8 @@ _PATIENCE = 0.15  # s to wait for replies to a broadcast ping; enough for ids up
 _READS = 50  # of each servo, for the quality of the line
 _SUPPLY_ADVICE = "check the 12 V supply, the cable and its plugs"
 _FIRMWARE_ADVICE = "update its firmware to 39 or later (Protocol 2.0) with the vendor's wizard"
+_COMES_BACK = 1.0  # s until a servo answers at its new speed
+_STEP = 0.05  # s
 
 
 def examine_servos(
@@ -172,10 +174,6 @@ def _line(link: ServoLink, servos: Sequence[int]) -> Iterator[Finding]:
         yield hint("servo line", text, "check plugs and cables")
     else:
         yield ok("servo line", text)
-
-
-_COMES_BACK = 1.0  # s until a servo answers at its new speed
-_STEP = 0.05  # s
 
 
 def set_baud(path: str, baud: int, ids: Sequence[int] | None, speeds: Sequence[int] = ()) -> Iterator[Finding]:
