@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -43,14 +43,13 @@ def add_record(parser: argparse.ArgumentParser) -> None:
     """Add the options of `tactile record`."""
     add = parser.add_argument
     add("--out", required=True, metavar="F.npz", help="data set, written from the folder F.recording")
-    add("--set", choices=SETS, help="the paper's sets, dockings at zero, or random offsets up to 12 mm")
+    add("--set", choices=SETS, required=True, help="the paper's sets, dockings at zero, or random offsets up to 12 mm")
     add("--angle-deg", type=between(-20.0, 20.0), metavar="DEG", help="angle of the target (sets angle and sweep)")
     text = "dockings per offset (position: 20) or in total (angle: 100, reference: 10, sweep: 100)"
     add("--repeat", type=integer(1, 10000), metavar="N", help=text)
     text = "offsets of the set position (-10 -5 0 5 10)"
     add("--offsets-mm", type=between(-20.0, 20.0), nargs="+", metavar="MM", help=text)
     add("--seed", type=SEED, default=0, metavar="N", help="random seed of order and offsets (0)")
-    add("--compose", action="store_true", help="only write F.npz from the recorded dockings")
     text = "dockings per tare, i.e. per session (25)"
     add("--tare-every", type=integer(1, 10000), default=25, metavar="N", help=text)
     namespace_option(parser)
@@ -67,8 +66,8 @@ def add_record(parser: argparse.ArgumentParser) -> None:
 
 
 def record(options: argparse.Namespace) -> Result:
-    """Record the missing dockings of a set, or compose the data set."""
-    out, part = file_to_write("--out", options.out, ".npz"), None if options.compose else _part(options)
+    """Record the missing dockings of a set, and compose the data set from all."""
+    out, part = file_to_write("--out", options.out, ".npz"), _part(options)
     environment.prepare()
     with _refusing():
         from deltacharger_core.mcap_file import require_mcap
@@ -76,21 +75,18 @@ def record(options: argparse.Namespace) -> Result:
 
         require_mcap()
         with Journal(out) as journal:
-            call = _Call(journal)
-            if part is None:
-                return call.finish(None)
             shared = ("rig", "sensor", "frames", "rows", "threshold", "dwell_s")
-            settings = Settings(**{name: getattr(options, name) for name in shared})
-            journal.check(part, settings)
-            if call.left(part):
+            recording = _Recording(journal, part, Settings(**{name: getattr(options, name) for name in shared}))
+            if recording.left():
                 try:
-                    _record(options, call, part, settings)
+                    recording.record(options)
                 except CommandError as error:
                     journal.compose()
-                    error.details.update(call.summary(part))
-                    kept = f"; {out} contains the {call.count} dockings of this call" if call.count else ""
-                    raise CommandError(f"{error}{kept}", error.exit_code, **error.details) from error
-            return call.finish(part)
+                    count = recording.count
+                    kept = f"; {out} contains the {count} dockings of this call" if count else ""
+                    details = {**error.details, **recording.summary()}
+                    raise CommandError(f"{error}{kept}", error.exit_code, **details) from error
+            return recording.result()
 
 
 @contextmanager
@@ -109,8 +105,6 @@ def _refusing() -> Iterator[None]:
 
 def _part(options: argparse.Namespace) -> Part:
     """Return the part that the options define; options of another set are refused."""
-    if options.set is None:
-        raise WrongInput("give --set, or --compose to write the data set from the recorded dockings")
     most = TILTED.get(options.set)
     if most is None and options.angle_deg:
         raise WrongInput(f"--set {options.set} takes no --angle-deg: the target is level")
@@ -133,151 +127,137 @@ def _part(options: argparse.Namespace) -> Part:
     )
 
 
-class _Call:
-    """One call of the command: its journal, its progress and its output.
+class _Recording:
+    """The recording of one part of a data set.
+
+    Args:
+        journal: of the data set.
+        part: whose missing dockings are made.
+        settings: of the data set.
 
     Attributes:
-        journal: of the recording.
         count: dockings that this call added.
     """
 
-    def __init__(self, journal: Journal) -> None:
-        self.journal = journal
-        self.count = 0
+    def __init__(self, journal: Journal, part: Part, settings: Settings) -> None:
+        self._journal, self._part, self._settings = journal, part, settings
+        self._poses = part.poses()
         self._began = time.monotonic()
+        self.count = 0
+        journal.check(part, settings)
 
-    def left(self, part: Part) -> list[int]:
-        """Return the numbers of the part's missing dockings."""
-        done = self.journal.done(part)
-        return [number for number in range(len(part.poses())) if number not in done]
+    def left(self) -> list[int]:
+        """Return the numbers of the missing dockings."""
+        done = self._journal.done(self._part)
+        return [number for number in range(len(self._poses)) if number not in done]
 
-    def start(self, part: Part) -> None:
-        """Print what is going to happen."""
-        left, total = len(self.left(part)), len(part.poses())
+    def summary(self) -> dict[str, Any]:
+        """Return the keys of the JSON object about the files."""
+        settings = self._journal.settings
+        return {
+            "out": str(self._journal.out),
+            "recorded": self.count,
+            "remaining": len(self.left()),
+            "dockings": len(self._journal.dockings),
+            "simulated": None if settings is None else settings.simulated,
+        }
+
+    def result(self) -> Result:
+        """Compose the data set and return its size."""
+        journal = self._journal
+        data = journal.compose()
+        assert data is not None
+        assert journal.settings is not None
+        kind = "simulated " if journal.settings.simulated else ""
+        lines = [f"{journal.out}: {len(data)} rows of {len(journal.dockings)} {kind}dockings"]
+        for name, each in journal.parts.items():
+            lines.append(f"  {name:<12} {len(journal.done(each))} of {len(each.poses())}")
+        return Result("\n".join(lines), {**self.summary(), "n": len(data)})
+
+    def record(self, options: argparse.Namespace) -> None:
+        """Connect to the charger and make the missing dockings.
+
+        Raises:
+            CommandError: it ended early; the recorded dockings are stored.
+        """
+        prepare(options, look_around=True)
+        with Interrupts() as interrupts, ros_context() as context:
+            from deltacharger_records.datasets.arm_client import ArmError
+            from deltacharger_records.datasets.charger import RecordingCharger
+
+            journal, begun = self._journal, False
+            charger = RecordingCharger(context, options.namespace, interrupts.event)
+            try:
+                with charger:
+                    charger.wait_until_ready(DISCOVERY)
+                    self._settings = dataclasses.replace(self._settings, simulated=charger.simulated())
+                    journal.check(self._part, self._settings)
+                    machine = self._machine(charger)
+                    if charger.claim(journal.driver()):
+                        log_line("the last call was killed while it moved the arm; taking over")
+                    journal.set_driver(charger.name)
+                    begun = True
+                    self._announce()
+                    self._run(charger, machine, options.tare_every, interrupts)
+            except ArmError as error:
+                raise CommandError(str(error), interrupts.failure) from error
+            finally:
+                if begun and not charger.is_driving:
+                    journal.set_driver("")
+
+    def _commands(self) -> list[Vector]:
+        """Return the docking position of each pose: the position of the target minus the offset."""
+        x, y, z = self._part.target
+        return [(x - pose.horizontal, y - pose.vertical, z) for pose in self._poses]
+
+    def _machine(self, charger: RecordingCharger) -> DockingMachine:
+        """Return the machine with docking_node's settings, after a check that all positions are reachable."""
+        from deltacharger_docking.machine import DockingMachine
+        from deltacharger_records.datasets.session import check_places
+
+        if not charger.has_docking_node:
+            log_line("docking_node is not running: using its default parameters")
+        machine = DockingMachine(*charger.settings())
+        with wrong_input(Rejected, Unreachable):
+            check_places(machine, self._commands())
+        return machine
+
+    def _announce(self) -> None:
+        part, left, total = self._part, len(self.left()), len(self._poses)
         if left < total:
-            log_line(f"{self.journal.folder} contains {total - left} of {total} dockings already; recording the others")
+            folder = self._journal.folder
+            log_line(f"{folder} contains {total - left} of {total} dockings already; recording the others")
         turned = f", turned by {part.angle_deg:g}° (from +x to +y)" if part.set in TILTED else ", level"
         log_line(f"{left} dockings; target at ({part.x_mm:g}, {part.y_mm:g}, {part.z_mm:g}) mm{turned}")
         log_line("keep clear: the arm moves now")
         self._began = time.monotonic()
 
-    def report(self, part: Part) -> Callable[[Docking], None]:
-        """Return a callback that reports a stored docking."""
-        total = len(part.poses())
+    def _report(self, docking: Docking) -> None:
+        """Report a stored docking."""
+        self.count += 1
+        left, total = len(self.left()), len(self._poses)
+        minutes = (time.monotonic() - self._began) / self.count * left / 60.0
+        place = f"({1e3 * docking.horizontal:+.1f}, {1e3 * docking.vertical:+.1f}) mm"
+        log_line(f"{total - left} of {total}  {place}  {docking.current:.3f} A  {minutes:.0f} min left")
 
-        def report(docking: Docking) -> None:
-            self.count += 1
-            left = len(self.left(part))
-            minutes = (time.monotonic() - self._began) / self.count * left / 60.0
-            place = f"({1e3 * docking.horizontal:+.1f}, {1e3 * docking.vertical:+.1f}) mm"
-            log_line(f"{total - left} of {total}  {place}  {docking.current:.3f} A  {minutes:.0f} min left")
-
-        return report
-
-    def summary(self, part: Part | None) -> dict[str, Any]:
-        """Return the keys of the JSON object about the files."""
-        settings = self.journal.settings
-        return {
-            "out": str(self.journal.out),
-            "recorded": self.count,
-            "remaining": None if part is None else len(self.left(part)),
-            "dockings": len(self.journal.dockings),
-            "simulated": None if settings is None else settings.simulated,
-        }
-
-    def finish(self, part: Part | None) -> Result:
-        """Compose the data set and return its size."""
-        out, journal = self.journal.out, self.journal
-        data = journal.compose()
-        if data is None:
-            raise WrongInput(f"{journal.folder} contains no dockings: record some with --set")
-        assert journal.settings is not None
-        kind = "simulated " if journal.settings.simulated else ""
-        lines = [f"{out}: {len(data)} rows of {len(journal.dockings)} {kind}dockings"]
-        for name, each in journal.parts.items():
-            lines.append(f"  {name:<12} {len(journal.done(each))} of {len(each.poses())}")
-        return Result("\n".join(lines), {**self.summary(part), "n": len(data)})
-
-
-def _record(options: argparse.Namespace, call: _Call, part: Part, settings: Settings) -> None:
-    """Connect to the charger and make the missing dockings.
-
-    Raises:
-        CommandError: it ended early; the recorded dockings are stored.
-    """
-    prepare(options, look_around=True)
-    with Interrupts() as interrupts, ros_context() as context:
-        from deltacharger_records.datasets.arm_client import ArmError
-        from deltacharger_records.datasets.charger import RecordingCharger
-
-        journal, begun = call.journal, False
-        charger = RecordingCharger(context, options.namespace, interrupts.event)
-        try:
-            with charger:
-                charger.wait_until_ready(DISCOVERY)
-                settings = dataclasses.replace(settings, simulated=charger.simulated())
-                journal.check(part, settings)
-                machine = _machine(charger, part)
-                if charger.claim(journal.driver()):
-                    log_line("the last call was killed while it moved the arm; taking over")
-                journal.set_driver(charger.name)
-                begun = True
-                call.start(part)
-                _Sessions(call, part, settings, charger, machine).run(options.tare_every, interrupts)
-        except ArmError as error:
-            raise CommandError(str(error), interrupts.failure) from error
-        finally:
-            if begun and not charger.is_driving:
-                journal.set_driver("")
-
-
-def _commands(part: Part) -> list[Vector]:
-    """Return the docking position of each pose: the position of the target minus the offset."""
-    x, y, z = part.target
-    return [(x - pose.horizontal, y - pose.vertical, z) for pose in part.poses()]
-
-
-def _machine(charger: RecordingCharger, part: Part) -> DockingMachine:
-    """Return the machine with docking_node's settings, after a check that all positions are reachable."""
-    from deltacharger_docking.machine import DockingMachine
-    from deltacharger_records.datasets.session import check_places
-
-    if not charger.has_docking_node:
-        log_line("docking_node is not running: using its default parameters")
-    machine = DockingMachine(*charger.settings())
-    with wrong_input(Rejected, Unreachable):
-        check_places(machine, _commands(part))
-    return machine
-
-
-class _Sessions:
-    """Consecutive sessions, each with its own tare."""
-
-    def __init__(
-        self, call: _Call, part: Part, settings: Settings, charger: RecordingCharger, machine: DockingMachine
-    ) -> None:
-        self._call, self._part, self._settings = call, part, settings
-        self._charger, self._machine = charger, machine
-        self._commands = _commands(part)
-
-    def run(self, size: int, interrupts: Interrupts) -> None:
-        """Run sessions of `size` dockings until none is missing; retry a failed docking in a new session.
+    def _run(self, charger: RecordingCharger, machine: DockingMachine, size: int, interrupts: Interrupts) -> None:
+        """Run sessions of `size` dockings, each with its own tare; retry a failed docking in a new session.
 
         Raises:
             CommandError: interrupted, or too many failures.
         """
         failures = 0
-        while numbers := self._call.left(self._part)[:size]:
-            before = self._call.count
-            outcome = self._session(numbers)
+        while numbers := self.left()[:size]:
+            before = self.count
+            outcome = self._session(charger, machine, numbers)
             what = outcome.message if outcome.code is Code.INTERNAL else f"{outcome.code.name}: {outcome.message}"
             if interrupts.event.is_set():
-                if self._machine.status.docked or outcome.code not in (Code.NONE, Code.CANCELED):
+                if machine.status.docked or outcome.code not in (Code.NONE, Code.CANCELED):
                     raise CommandError(f"interrupted; {what}", INTERRUPTED)  # the arm is not home
                 break
             if outcome.success:
                 continue
-            failures = 1 if self._call.count > before else failures + 1
+            failures = 1 if self.count > before else failures + 1
             if not outcome.retriable:
                 raise CommandError(what, code=int(outcome.code))
             if failures == _TRIES:
@@ -288,20 +268,18 @@ class _Sessions:
         if interrupts.event.is_set():
             raise CommandError("interrupted; repeat the command to resume", INTERRUPTED)
 
-    def _session(self, numbers: Sequence[int]) -> DockingOutcome:
+    def _session(self, charger: RecordingCharger, machine: DockingMachine, numbers: Sequence[int]) -> DockingOutcome:
         """Make the dockings of these numbers; all frames are stored when this returns."""
         from deltacharger_records.datasets.charger import SessionKeeper
         from deltacharger_records.datasets.session import NotKept, TouchSession
 
-        charger, settings = self._charger, self._settings
-        report = self._call.report(self._part)
+        settings, commands = self._settings, self._commands()
         keeper = SessionKeeper(
-            self._call.journal, self._part, settings, numbers, charger.tape, charger.names, charger.now, report
+            self._journal, self._part, settings, numbers, charger.tape, charger.names, charger.now, self._report
         )
-        places = [self._commands[number] for number in numbers]
-        holding = settings.frames * settings.rows * _FRAME
+        places, holding = [commands[number] for number in numbers], settings.frames * settings.rows * _FRAME
         try:
-            return charger.run(self._machine, TouchSession(places, settings.dwell_s, holding, keeper))
+            return charger.run(machine, TouchSession(places, settings.dwell_s, holding, keeper))
         finally:
             try:
                 keeper.close()

@@ -85,7 +85,6 @@ REFUSED = {
     f"{RECORD} --set reference --offsets-mm 1": "--offsets-mm",
     f"{RECORD} --set reference --out F.csv": ".npz",
     f"{RECORD} --set reference --out text.npz": "--out",
-    f"{RECORD} --compose": "dockings",
     "vision detect": "IMAGE",
     COLOR: "--camera-info",
     f"{COLOR} --camera-info none.yaml": "none.yaml",

@@ -25,7 +25,7 @@ CLI = ("-m", "deltacharger_bringup.cli")
 # Arguments of Python, and their exit code in a normal shell.
 COMMAND_LINES: dict[str, tuple[tuple[str, ...], int]] = {
     "list": ((*CLI, "scene", "level"), 0),
-    "json": ((*CLI, "scene", "--json"), 0),
+    "json": ((*CLI, "scene", "level", "--json"), 0),
     "help": ((*CLI, "--help"), 0),
     "version": ((*CLI, "--version"), 0),
     "explain": ((*CLI, "scene", "simulated", "--all"), 0),

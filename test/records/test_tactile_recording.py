@@ -146,9 +146,6 @@ def test_a_kill_loses_no_reported_docking_and_the_same_call_continues(
     before = {path.name: path.read_bytes() for path in folder.glob("docking-*.mcap")}
     assert len(before) >= reported >= 1
     assert not (tmp_path / "F.npz").exists()
-    composed = record("--compose")
-    assert answer(composed, DONE)["n"] == len(before)
-
     result = answer(record(*words), DONE)
     assert (result["remaining"], result["n"]) == (0, 3)
     charger.assert_safe()
