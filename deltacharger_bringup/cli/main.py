@@ -37,7 +37,7 @@ from deltacharger_core.environment import UnsupportedRos
 Command = tuple[str, str]
 """Its function with the module, relative to this package where it begins with a dot, and what it does."""
 COMMANDS: dict[str, Command] = {
-    "up": (".up.up", "run a charger until it is stopped; 'ready' when it accepts goals"),
+    "up": (".charger.up", "run a charger until it is stopped; 'ready' when it accepts goals"),
     "dock": (".dock.dock", "dock and charge; starts a charger if none runs"),
     "undock": (".dock.undock", "stop charging, release the target, retract the arm"),
     "scene": (".scene.scene", "list, check and explain scenes"),

@@ -129,7 +129,7 @@ COMMAND = "import runpy; runpy.run_module('deltacharger_bringup.cli', run_name='
         rest((), "rclpy", TERM, 0, []),
         (("up",), "deltacharger_bringup.cli.main", INT, 130, ["interrupted"]),
         rest(("up",), "deltacharger_bringup.cli.main", TERM, 0, []),
-        rest(("up",), "deltacharger_bringup.cli.up", HUP, 0, []),
+        rest(("up",), "deltacharger_bringup.cli.charger", HUP, 0, []),
         rest(("simulate", "--as-node"), "deltacharger_bringup.cli.main", INT, 0, []),
         rest(("dock",), "deltacharger_bringup.cli.dock", INT, 130, ["interrupted"]),
     ],
