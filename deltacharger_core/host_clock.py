@@ -13,6 +13,8 @@ import threading
 import time
 from collections.abc import Callable
 
+from deltacharger_core.machine import ORDER_AGE_MAX
+
 AHEAD = 0.1
 """s, how far a stamp may be ahead of this computer's clock. A message stamped ahead looks that much younger than it
 is, so this is no more than the age at which docking stops its arm (PRESS_AGE_MAX). Clocks of two computers with NTP
@@ -104,3 +106,16 @@ class HostClock:
 
 HOST = HostClock()
 """The clock of this process's computer."""
+
+
+def late(age: float) -> str:
+    """Return why an order of this age (s) is not carried out; '' = it is.
+
+    One that waited too long, as for a suspended node, would fall into another goal.
+    """
+    if age <= ORDER_AGE_MAX:
+        return ""
+    return (
+        f"the order was sent {age:.1f} s ago, more than {ORDER_AGE_MAX:g} s, and is not carried out: if it is still "
+        f"wanted, give it again; check whether this computer is too busy; {COMPARE_CLOCKS}"
+    )

@@ -82,6 +82,8 @@ CONTACT_FORCE = 1.0
 
 LONGEST_LEASE = 0.25
 """s that the contactor stays closed unless the lease is renewed."""
+PROBE_LIFETIME = 2.0
+"""s; a close needs a probe younger than this."""
 ORDER_AGE_MAX = 2.0
 """s after which an order about torque, tare, probe or contactor is refused: docking waits no longer for a probe."""
 DOCK_DISTANCE = 0.080

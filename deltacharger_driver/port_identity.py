@@ -12,21 +12,20 @@ from dataclasses import dataclass
 from typing import Literal
 
 from deltacharger_core.machine import BAUD_RATE, SERVO_IDS
-from deltacharger_driver.board.payloads import Hello, decode_hello
-from deltacharger_driver.board.port import BoardPort
-from deltacharger_driver.board.protocol import (
-    POWER_RATE,
+from deltacharger_driver.board.protocol import POWER_RATE, Hello, PacketError, PacketType, decode_hello, is_from_board
+from deltacharger_driver.packets import (
+    BROADCAST,
+    HEADER,
+    PING,
+    STATUS,
     Packet,
     PacketDecoder,
-    PacketError,
-    PacketType,
+    crc16,
     encode_packet,
-    is_from_board,
+    instruction_packet,
 )
-from deltacharger_driver.servos.mx64 import MODEL, MODEL_PROTOCOL_1, SPEEDS
-from deltacharger_driver.servos.packets import BROADCAST, PING
-from deltacharger_driver.servos.port import latency_timer
-from deltacharger_driver.servos.protocol import HEADER, STATUS, crc16, instruction_packet
+from deltacharger_driver.ports import SPEEDS, RawPort, latency_timer
+from deltacharger_driver.servos.registers import MODEL, MODEL_PROTOCOL_1
 
 SERVO_SPEEDS = (BAUD_RATE, 57600, *(speed for speed in SPEEDS.values() if speed not in (BAUD_RATE, 57600)))
 """Every speed of a servo, the likely ones first, bit/s."""
@@ -107,7 +106,7 @@ def identify(
         PortMissing, PortNotSerial, PortBusy, PortDenied, PortError: the port cannot be opened.
         PortGone: it vanished while being identified.
     """
-    port = BoardPort(path, BAUD_RATE)
+    port = RawPort(path, BAUD_RATE)
     try:
         board, received = _find_board(port)
         if board is not None:
@@ -122,7 +121,7 @@ def identify(
     return PortIdentity(path, "silent", "no answer at any speed")
 
 
-def _find_board(port: BoardPort) -> tuple[PortIdentity | None, int]:
+def _find_board(port: RawPort) -> tuple[PortIdentity | None, int]:
     """Return the board, if there is one, and the number of bytes received."""
     decoder = PacketDecoder()
     received = _receive(port, _LISTEN)
@@ -145,7 +144,7 @@ def _find_board(port: BoardPort) -> tuple[PortIdentity | None, int]:
     return None, counters.bytes
 
 
-def _receive(port: BoardPort, duration: float) -> bytes:
+def _receive(port: RawPort, duration: float) -> bytes:
     """Return all bytes received within `duration` s."""
     received = bytearray()
     end = time.monotonic() + duration
@@ -155,7 +154,7 @@ def _receive(port: BoardPort, duration: float) -> bytes:
 
 
 def find_servos(
-    port: BoardPort,
+    port: RawPort,
     speeds: Iterable[int],
     ids: Iterable[int] = SERVO_IDS,
     patience: float = _PATIENCE,
@@ -179,7 +178,7 @@ def find_servos(
     return found
 
 
-def _ask_one(port: BoardPort, servo: int, speed: int, wait: float) -> list[FoundServo]:
+def _ask_one(port: RawPort, servo: int, speed: int, wait: float) -> list[FoundServo]:
     """Ping one servo that did not answer the broadcast ping: its reply was lost, or it supports only Protocol 1.0."""
     answers = 0
     for _ in range(_ATTEMPTS):
@@ -195,7 +194,7 @@ def _ask_one(port: BoardPort, servo: int, speed: int, wait: float) -> list[Found
     return [FoundServo(servo, speed, garbled=True)] if answers == _ATTEMPTS else []
 
 
-def _exchange(port: BoardPort, question: bytes, wait: float) -> bytes:
+def _exchange(port: RawPort, question: bytes, wait: float) -> bytes:
     """Send `question` and return the bytes received within `wait` s, without the echo that some adapters give."""
     port.write(question)
     return _receive(port, wait).replace(question, b"")

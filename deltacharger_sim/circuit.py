@@ -6,8 +6,7 @@ from __future__ import annotations
 import math
 
 from deltacharger_core.charge_port import LIVE_VOLTAGE
-from deltacharger_driver.emulators.stage import Outputs, StageParameters, StageReading
-from deltacharger_driver.emulators.target_port import PortParameters, TargetPort
+from deltacharger_driver.emulators.power import Outputs, PortParameters, StageParameters, StageReading, TargetPort
 from deltacharger_sim.bars import Bars
 from deltacharger_sim.clearance import Overlap
 from deltacharger_sim.parameters import CircuitParameters

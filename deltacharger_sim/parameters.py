@@ -26,8 +26,7 @@ from deltacharger_core.machine import (
     TORQUE_CONSTANT,
 )
 from deltacharger_core.parameters import Bounded, ParameterError, flag, number
-from deltacharger_driver.emulators.stage import StageParameters
-from deltacharger_driver.emulators.target_port import PortParameters
+from deltacharger_driver.emulators.power import PortParameters, StageParameters
 
 SOFT = 1e4  # N/m per electrode; with softer springs, the magnets pull the electrodes in by more than their travel
 DEEPEST_SOFT_STOP = 0.002  # m, largest travel of soft springs before their stop

@@ -10,8 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from deltacharger_core.arrays import Array
-from deltacharger_driver.emulators.stage import Outputs, StageReading
-from deltacharger_driver.emulators.target_port import TargetPort
+from deltacharger_driver.emulators.power import Outputs, StageReading, TargetPort
 from deltacharger_sim.world import World
 
 _CATCH_UP = 0.5  # s; a longer pause of the process is skipped, not computed

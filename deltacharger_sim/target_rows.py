@@ -10,8 +10,7 @@ from typing import Any
 
 from deltacharger_core import environment
 from deltacharger_core.yaml_file import read_yaml
-from deltacharger_driver.emulators.stage import StageParameters
-from deltacharger_driver.emulators.target_port import PortParameters
+from deltacharger_driver.emulators.power import PortParameters, StageParameters
 
 Values = Mapping[str, Any]
 

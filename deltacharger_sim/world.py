@@ -12,7 +12,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from deltacharger_core.arrays import Array
-from deltacharger_driver.servos.mx64 import CURRENT_UNIT, TICK
+from deltacharger_driver.servos.registers import CURRENT_UNIT, TICK
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_sim.circuit import Circuit
 from deltacharger_sim.clearance import Overlap

@@ -15,11 +15,10 @@ from dynamixel_sdk import PacketHandler, PortHandler
 
 from deltacharger_core.charge_port import port_of
 from deltacharger_driver.board.link import BoardLink
-from deltacharger_driver.emulators.bench_arm import BenchArm
-from deltacharger_driver.emulators.bench_plant import BenchPlant
+from deltacharger_driver.emulators.bench import BenchArm, BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.ports import PseudoTerminal
 
 TORQUE_ENABLE, GOAL_POSITION, PRESENT_POSITION = 64, 116, 132  # registers of an MX-64
 TEN_DEGREES = 114  # counts of 4096 a turn

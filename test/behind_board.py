@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import ClassVar
 
 from deltacharger_driver.board.keeper import BoardKeeper
-from deltacharger_driver.emulators.bench_plant import BenchPlant
+from deltacharger_driver.emulators.bench import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
-from deltacharger_driver.pseudo_terminal import ByteDevice, PseudoTerminal
-from deltacharger_driver.servos.port import ServoPort
+from deltacharger_driver.ports import ByteDevice, PseudoTerminal
+from deltacharger_driver.servos.link import ServoPort
 
 from .borrowed import anew, borrowed_tests
 from .driver.virtual_line import RealClock

@@ -161,14 +161,14 @@ def context() -> Iterator[Any]:
 
 @functools.cache
 def _limits() -> tuple[tuple[Any, str, float], ...]:
-    from deltacharger_driver.board import contactor_guard, contactor_lease
-    from deltacharger_driver.emulators import power, servo_firmware
+    from deltacharger_driver.board import contactor
+    from deltacharger_driver.emulators import power, servo
 
     every = (
-        (contactor_guard, "STALE_FRAME"),
-        (contactor_lease, "LONGEST_LEASE"),
+        (contactor, "STALE_FRAME"),
+        (contactor, "LONGEST_LEASE"),
         (power, "HEARTBEAT_LIMIT"),
-        (servo_firmware, "WATCHDOG_UNIT"),
+        (servo, "WATCHDOG_UNIT"),
     )
     return tuple((module, name, getattr(module, name)) for module, name in every)
 

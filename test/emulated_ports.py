@@ -11,12 +11,11 @@ from collections.abc import Iterator
 
 import pytest
 
-from deltacharger_driver.emulators.bench_arm import BenchArm
-from deltacharger_driver.emulators.bench_plant import BenchPlant
+from deltacharger_driver.emulators.bench import BenchArm, BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
-from deltacharger_driver.servos.mx64 import REGISTERS
+from deltacharger_driver.ports import PseudoTerminal
+from deltacharger_driver.servos.registers import REGISTERS
 
 IDS = (1, 2, 3)
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from deltacharger_driver.servos.port import REPLY_MARGIN
+from deltacharger_driver.parameters import REPLY_MARGIN
 from deltacharger_scenes.scene import Scene, load_scene
 
 from .waiting import host

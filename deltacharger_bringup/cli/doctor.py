@@ -206,7 +206,7 @@ def _examine_servos(hardware: _Hardware, check: Callable[[str], Iterable[Finding
         return [wrong("servo port", "the servos are on the board, and its port is not given", "give --board-port")]
 
     def behind() -> Iterator[Finding]:
-        from deltacharger_driver.board.pass_through import servos_behind
+        from deltacharger_driver.board.keeper import servos_behind
 
         with servos_behind(hardware.board_port, hardware.board_speed) as path:
             yield ok("servo port", f"the servos are on the board at {hardware.board_port}")

@@ -18,11 +18,20 @@ import numpy as np
 from deltacharger_bringup.doctor.findings import Finding, failed, hint, ok, wrong
 from deltacharger_core.charge_port import Port, port_of
 from deltacharger_core.machine import BATTERY_MAX, BATTERY_MIN, CONTACT_FORCE
-from deltacharger_driver.board.errors import BoardMismatch, CommandRefused
 from deltacharger_driver.board.link import BoardLink
-from deltacharger_driver.board.payloads import Hello, probe_problem, weld_problem
-from deltacharger_driver.board.protocol import HEARTBEAT_PERIOD, POWER_RATE, clearing, fault_name
-from deltacharger_driver.board.samples import PowerSample, TactileSample
+from deltacharger_driver.board.protocol import (
+    HEARTBEAT_PERIOD,
+    POWER_RATE,
+    BoardMismatch,
+    CommandRefused,
+    Hello,
+    PowerSample,
+    TactileSample,
+    clearing,
+    fault_name,
+    probe_problem,
+    weld_problem,
+)
 from deltacharger_driver.errors import NoAnswer, WrongDevice
 from deltacharger_tactile.estimate import Limits
 

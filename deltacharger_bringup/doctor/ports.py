@@ -32,7 +32,7 @@ def examine_port(part: str, path: str) -> Iterator[Finding]:
         the findings; the port can be used if none is wrong.
     """
     from deltacharger_driver.errors import PortBusy, PortDenied, PortError, PortMissing
-    from deltacharger_driver.serial_open import open_serial
+    from deltacharger_driver.ports import open_serial
 
     try:
         open_serial(path, BAUD_RATE).close()
@@ -92,7 +92,7 @@ def _group_advice(path: str) -> str:
 
 def _improvements(part: str, path: str, target: str) -> Iterator[Finding]:
     """Yield possible improvements of a working port."""
-    from deltacharger_driver.servos.port import latency_timer
+    from deltacharger_driver.ports import latency_timer
 
     latency = latency_timer(path)
     if latency > _SLOW_LATENCY:

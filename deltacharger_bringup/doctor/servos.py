@@ -12,9 +12,10 @@ from deltacharger_bringup.doctor.findings import Finding, failed, hint, ok, wron
 from deltacharger_core.machine import SERVO_IDS
 from deltacharger_driver.errors import CorruptReply, DriverError, NoAnswer, ServoFault
 from deltacharger_driver.port_identity import SERVO_SPEEDS, FoundServo, PortIdentity, identify
+from deltacharger_driver.ports import SPEEDS
+from deltacharger_driver.servos.bus import check_registers
 from deltacharger_driver.servos.link import ServoLink
-from deltacharger_driver.servos.mx64 import MODEL, SPEEDS, VOLTAGE_UNIT, WATCHDOG_TRIPPED, describe_hardware_error
-from deltacharger_driver.servos.setup import check_registers
+from deltacharger_driver.servos.registers import MODEL, VOLTAGE_UNIT, WATCHDOG_TRIPPED, describe_hardware_error
 
 SUPPLY = (11.0, 13.0)  # V, what a 12 V regulator gives
 _WARM = 15.0  # °C below the servo's own limit

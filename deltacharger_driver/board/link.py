@@ -1,41 +1,216 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The host's end of the board link (docs/board-link.md): commands out, tactile frames and power in."""
+"""The host's end of the board link (docs/board-link.md): commands and heartbeats out, tactile frames and power in."""
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import struct
+import threading
 import time
+from collections.abc import Callable
+from dataclasses import replace
 
 from deltacharger_core.charge_port import ChargeLimits
-from deltacharger_driver.board.connection import BoardConnection
-from deltacharger_driver.board.errors import CommandRefused
-from deltacharger_driver.board.payloads import (
+from deltacharger_core.machine import BAUD_RATE, COLUMNS, ROWS
+from deltacharger_core.real_time import Lateness
+from deltacharger_driver.board.protocol import (
+    CLEAR_WELD,
+    HEARTBEAT_PERIOD,
+    LONGEST_PING,
+    LONGEST_SERVO,
+    MINOR,
+    OPEN,
+    PROBE_TIMEOUT,
+    AckError,
+    BoardLinkCounters,
+    BoardMismatch,
+    CommandRefused,
+    Hello,
+    PacketType,
+    PowerSample,
+    ProbeResult,
+    TactileSample,
     decode_probe,
     encode_close,
     encode_limit,
     encode_rate,
     encode_servo_speed,
 )
-from deltacharger_driver.board.protocol import (
-    CLEAR_WELD,
-    LONGEST_PING,
-    LONGEST_SERVO,
-    OPEN,
-    PROBE_TIMEOUT,
-    AckError,
-    PacketType,
-)
-from deltacharger_driver.board.samples import ProbeResult
+from deltacharger_driver.board.receiver import BoardReceiver, BoardRequest, BoardRequests
+from deltacharger_driver.errors import NoAnswer, PortError, PortGone, WrongDevice
+from deltacharger_driver.packets import VERSION, DecoderCounters, Packet, PacketDecoder, encode_packet
+from deltacharger_driver.port_identity import find_servos
+from deltacharger_driver.ports import RawPort
 
+_NEVER = float("-inf")
 _PING_NUMBERS = itertools.count()
 
 
-class BoardLink(BoardConnection):
-    """The tactile arrays and the power stage behind one serial port; arguments and threads as for `BoardConnection`.
+class Heartbeat:
+    """A thread that sends every 20 ms until a deadline.
 
-    Every command raises `NoAnswer` if the board does not answer, and `PortGone` if the port vanished.
+    It never extends the deadline itself: if the client dies or hangs, the heartbeat stops and the board opens the
+    contactor.
+
+    Attributes:
+        lateness: of each heartbeat.
+
+    Args:
+        send: sends one heartbeat; may raise `PortGone`, which ends the thread.
+        name: of the thread.
     """
+
+    def __init__(self, send: Callable[[], None], name: str) -> None:
+        self.lateness = Lateness()
+        self._send = send
+        self._changed = threading.Condition()
+        self._until = _NEVER
+        self._closing = False
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    def start(self) -> None:
+        """Start the thread; nothing is sent yet."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop and join the thread."""
+        with self._changed:
+            self._closing = True
+            self._until = _NEVER
+            self._changed.notify_all()
+        self._thread.join()
+
+    def keep_alive(self, until: float) -> None:
+        """Send until `until` (s). If none are being sent, the first is sent before this returns.
+
+        Raises:
+            PortGone: the port vanished.
+        """
+        with self._changed:
+            idle = time.monotonic() >= self._until
+            self._until = until
+            self._changed.notify_all()
+        if idle and time.monotonic() < until:
+            self._send()
+
+    def stop(self) -> None:
+        """Send no more."""
+        with self._changed:
+            self._until = _NEVER
+
+    def _run(self) -> None:
+        due = time.monotonic()
+        while True:
+            with self._changed:
+                if self._closing:
+                    return
+                now = time.monotonic()
+                if now >= self._until:
+                    self._changed.wait()
+                    due = time.monotonic()
+                    continue
+                if now < due:
+                    self._changed.wait(due - now)
+                    continue
+            self.lateness.note(now - due)
+            due = max(due + HEARTBEAT_PERIOD, now)
+            try:
+                self._send()
+            except PortGone:
+                return
+
+
+def check_hello(port: str, hello: Hello) -> None:
+    """Refuse an incompatible board.
+
+    Raises:
+        BoardMismatch: it speaks another version or has other array sizes.
+    """
+    if hello.major != VERSION or hello.minor < MINOR:
+        raise BoardMismatch(port, f"the board speaks version {hello.major}.{hello.minor}")
+    if (hello.rows, hello.columns) != (ROWS, COLUMNS):
+        raise BoardMismatch(port, f"the board has {hello.rows} x {hello.columns} taxels per pad")
+
+
+def explain_silence(port: str, before: DecoderCounters, now: DecoderCounters, error: NoAnswer) -> Exception:
+    """Return the error for a board that did not answer, from the bytes received since `before`."""
+    if now.version_errors > before.version_errors:
+        return BoardMismatch(port, f"the board speaks version {now.refused_version}")
+    if now.packets > before.packets:
+        return NoAnswer(f"{port} (the board sends other packets)", error.action, error.timeout)
+    if now.bytes > before.bytes:
+        count = now.bytes - before.bytes
+        return BoardMismatch(port, f"received {count} bytes, but no intact packet: wrong baud rate or device")
+    return error
+
+
+def refuse_servos(port: str, baud_rate: int) -> None:
+    """Look for servos at the port's speed and at the factory default.
+
+    Raises:
+        WrongDevice: they answer.
+    """
+    with contextlib.suppress(PortError):
+        opened = RawPort(port, baud_rate)
+        try:
+            found = find_servos(opened, dict.fromkeys((baud_rate, 57600)), ids=())
+        finally:
+            opened.close()
+        if found:
+            raise WrongDevice(port, "the board with the pads and the power stage", "the servos")
+
+
+class BoardLink:
+    """The tactile arrays and the power stage behind one serial port; can be opened repeatedly.
+
+    Two threads: the reader decodes packets and calls the callbacks; the heartbeat thread sends heartbeats until the
+    deadline set by `keep_alive`.
+
+    Any thread except a callback may send commands, several at a time. After `PortGone` the link is down until `close`
+    and `open` are called again. Sequence numbers, clock and counters continue. Every command raises `NoAnswer` if the
+    board does not answer, and `PortGone` if the port vanished.
+
+    Attributes:
+        greeting: HELLO of the last board that was accepted; it declares the power stage.
+
+    Args:
+        port: path of the port.
+        baud_rate: speed on a UART; any on USB.
+        on_tactile: called in the reader's thread with every `TactileSample`.
+        on_power: called in the reader's thread with every `PowerSample`.
+        on_boot: called in the reader's thread when the board has rebooted: it does not stream, is not tared, and its
+            contactor is open. Must not wait for a command.
+        on_gone: called once, in any thread, when the port has vanished.
+        on_servo: called in the reader's thread with bytes from the servos' bus, if it is connected to the board.
+    """
+
+    def __init__(
+        self,
+        port: str,
+        baud_rate: int = BAUD_RATE,
+        on_tactile: Callable[[TactileSample], None] | None = None,
+        on_power: Callable[[PowerSample], None] | None = None,
+        on_boot: Callable[[], None] | None = None,
+        on_gone: Callable[[PortGone], None] | None = None,
+        on_servo: Callable[[bytes], None] | None = None,
+    ) -> None:
+        self.port = port
+        self.baud_rate = baud_rate
+        self._on_boot = on_boot
+        self._on_gone = on_gone
+        self._decoder = PacketDecoder()
+        self._requests = BoardRequests()
+        self._receiver = BoardReceiver(self._requests, on_tactile, on_power, self._rebooted, on_servo)
+        self._sequences: dict[PacketType, int] = {}
+        self._gone_lock = threading.Lock()
+        self._write_lock = threading.Lock()  # port writes and outgoing sequences
+        self._port: RawPort | None = None
+        self._reader: threading.Thread | None = None
+        self._heartbeat: Heartbeat | None = None
+        self._closing = threading.Event()
+        self.gone: PortGone | None = None
+        self.greeting: Hello | None = None
 
     def __enter__(self) -> BoardLink:
         self.open()
@@ -43,6 +218,117 @@ class BoardLink(BoardConnection):
 
     def __exit__(self, *exception: object) -> None:
         self.close()
+
+    def open(self) -> Hello:
+        """Open the port and exchange HELLO with the board.
+
+        Returns:
+            The board's HELLO.
+
+        Raises:
+            PortError: the port cannot be opened (missing, not serial, busy, denied) or vanished again.
+            NoAnswer: no intelligible answer; the message describes the bytes received.
+            BoardMismatch: the board speaks another version or has other array sizes.
+            WrongDevice: the servos are connected to this port.
+        """
+        if self._port is not None:
+            raise RuntimeError(f"{self.port} is already open; close the link first")
+        self._port = RawPort(self.port, self.baud_rate)
+        self.gone = None
+        self._closing.clear()
+        counters = self._decoder.counters
+        self._decoder = PacketDecoder()
+        self._decoder.counters = counters
+        before = replace(counters)
+        self._heartbeat = Heartbeat(self._send_heartbeat, f"board heartbeat {self.port}")
+        self._reader = threading.Thread(target=self._read, name=f"board reader {self.port}", daemon=True)
+        self._heartbeat.start()
+        self._reader.start()
+        try:
+            return self._greet(before)
+        except BaseException as error:
+            self.close()
+            if isinstance(error, NoAnswer | BoardMismatch) and self._decoder.counters.packets == before.packets:
+                refuse_servos(self.port, self.baud_rate)
+            raise
+
+    def _greet(self, before: DecoderCounters) -> Hello:
+        try:
+            hello = self.hello()
+        except NoAnswer as error:
+            raise explain_silence(self.port, before, self._decoder.counters, error) from error
+        check_hello(self.port, hello)
+        self.greeting = hello
+        return hello
+
+    def close(self) -> None:
+        """Stop both threads and release the port; without heartbeat, a closed contactor then opens.
+
+        Idempotent. Pending commands end with `PortGone`. Must not be called from a callback.
+        """
+        self._closing.set()
+        if self._heartbeat is not None:
+            self._heartbeat.close()
+            self._heartbeat = None
+        if self._port is not None:
+            self._port.wake()
+        if self._reader is not None:
+            self._reader.join()
+            self._reader = None
+        self._requests.fail(PortGone(self.port, "the link was closed"))
+        with self._write_lock:
+            port, self._port = self._port, None
+        if port is not None:
+            port.close()
+
+    @property
+    def counters(self) -> BoardLinkCounters:
+        """A copy of the link's counters."""
+        return self._receiver.snapshot()
+
+    @property
+    def decoder_counters(self) -> DecoderCounters:
+        """A copy of the decoder's counters: bytes, packets and damage."""
+        return replace(self._decoder.counters)
+
+    @property
+    def drift(self) -> float:
+        """Estimated drift of the board's clock against the host's, s/s."""
+        return self._receiver.drift
+
+    @property
+    def heartbeat_lateness(self) -> Lateness | None:
+        """Lateness of the heartbeats of this connection; None without a connection."""
+        heartbeat = self._heartbeat
+        return None if heartbeat is None else heartbeat.lateness
+
+    def hello(self) -> Hello:
+        """Request the board's HELLO.
+
+        Raises:
+            NoAnswer, PortGone: as for every command.
+        """
+        self._receiver.hello = None
+        for _ in range(2):  # HELLO may be lost although its ACK arrives
+            self._ask(PacketType.HELLO, attempt_timeout=0.15, attempts=3)
+            if self._receiver.hello is not None:
+                return self._receiver.hello
+        raise NoAnswer(self.port, "HELLO (acknowledged, but no HELLO received)", 0.3)
+
+    def keep_alive(self, until: float) -> None:
+        """Send heartbeats until `until` (s, monotonic); each call replaces that deadline.
+
+        The first is sent before this returns, so the contactor may be closed at once.
+        """
+        if self._heartbeat is None:
+            raise PortGone(self.port, "the link is closed")
+        self._heartbeat.keep_alive(until)
+
+    def stop_heartbeat(self) -> None:
+        """Send no further heartbeat; a closed contactor opens within 100 ms."""
+        heartbeat = self._heartbeat
+        if heartbeat is not None:
+            heartbeat.stop()
 
     def start(self) -> None:
         """Start the stream of tactile frames; harmless if it runs already."""
@@ -160,3 +446,76 @@ class BoardLink(BoardConnection):
         """
         advice: dict[int, str] = {AckError.BAD_PAYLOAD: f"the servos' bus does not support {speed} bit/s"}
         self._ask(PacketType.SERVO_SPEED, encode_servo_speed(speed), advice=advice)
+
+    def _ask(
+        self,
+        type: PacketType,
+        payload: bytes = b"",
+        attempt_timeout: float = 0.1,
+        attempts: int = 5,
+        advice: dict[int, str] | None = None,
+    ) -> BoardRequest:
+        if threading.current_thread() is self._reader:
+            raise RuntimeError(f"{type.name} from a callback would block forever; call it from another thread")
+        with self._requests.waiting(BoardRequest(type, payload)) as request:
+            for attempt in range(attempts):
+                self._receiver.counters.retries += attempt > 0
+                self._send(type, payload, request)
+                if request.done.wait(attempt_timeout):
+                    break
+            else:
+                self._receiver.counters.unanswered += 1
+                raise NoAnswer(self.port, type.name, attempt_timeout * attempts)
+        if request.error is not None:
+            raise request.error
+        if request.ack is not None and request.ack.error != AckError.DONE:
+            error = request.ack.error
+            raise CommandRefused(type, error, (advice or {}).get(error, ""), len(request.sequences))
+        return request
+
+    def _send(self, type: PacketType, payload: bytes = b"", request: BoardRequest | None = None) -> None:
+        if self.gone is not None:
+            raise self.gone
+        try:
+            with self._write_lock:
+                if self._port is None:
+                    raise PortGone(self.port, "the link is closed")
+                sequence = self._sequences.get(type, 0)
+                self._sequences[type] = (sequence + 1) % 65536
+                if request is not None:
+                    self._requests.attempt(request, sequence)
+                self._port.write(encode_packet(Packet(type, payload, sequence)))
+        except PortGone as error:
+            self._vanish(error)
+            raise
+
+    def _send_heartbeat(self) -> None:
+        self._send(PacketType.HEARTBEAT)
+        self._receiver.counters.heartbeats += 1
+
+    def _vanish(self, error: PortGone) -> None:
+        with self._gone_lock:
+            if self.gone is not None or self._closing.is_set():
+                return
+            self.gone = error
+        self.stop_heartbeat()
+        self._requests.fail(error)
+        if self._on_gone is not None:
+            self._on_gone(error)
+
+    def _rebooted(self) -> None:
+        self.stop_heartbeat()
+        if self._on_boot is not None:
+            self._on_boot()
+
+    def _read(self) -> None:
+        port = self._port
+        assert port is not None
+        try:
+            while not self._closing.is_set():
+                data = port.read(0.5)
+                received = time.monotonic()
+                for packet in self._decoder.feed(data):
+                    self._receiver.take(packet, received)
+        except PortGone as error:
+            self._vanish(error)

@@ -1,19 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Interprets packets from the board: converts times to the host's clock, unwraps numbers, detects reboots."""
+"""Interprets packets from the board: times on the host's clock, rising numbers, answers to commands, reboots."""
 
 from __future__ import annotations
 
+import itertools
 import logging
-from collections.abc import Callable
-from dataclasses import replace
+import math
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from typing import Any
 
-from deltacharger_driver.board.device_clock import DeviceClock, SequenceUnwrapper
-from deltacharger_driver.board.payloads import (
+from deltacharger_driver.board.protocol import (
+    FLAG_OVERRUN,
+    FLAG_TARED,
     Ack,
+    BoardLinkCounters,
+    BoardRebooted,
     Hello,
+    PacketError,
+    PacketType,
     Power,
+    PowerSample,
+    TactileSample,
     Taxels,
+    check_header,
     decode_ack,
     decode_hello,
     decode_ping,
@@ -21,12 +33,208 @@ from deltacharger_driver.board.payloads import (
     decode_samples,
     decode_servo,
 )
-from deltacharger_driver.board.protocol import FLAG_OVERRUN, FLAG_TARED, Packet, PacketError, PacketType, check_header
-from deltacharger_driver.board.requests import BoardRequests
-from deltacharger_driver.board.samples import BoardLinkCounters, PowerSample, TactileSample
+from deltacharger_driver.packets import Packet
 
+WINDOW = 30.0  # s of history; with 8 s, one second of late packets on a loaded host tilts the line by milliseconds
+_BUCKET = 0.5  # s, one minimum each
+_SHORTEST_BASELINE = 2.5  # s of history before a drift is estimated
+_LARGEST_DRIFT = 500e-6  # s/s; two poor crystals differ by 200e-6
 _log = logging.getLogger(__name__)
 _CLOCK_STEP_BACK = 0.5  # s; if the device clock falls further, it has restarted
+
+
+class DeviceClock:
+    """Maps a device's clock to the host's by the packets with the least delay.
+
+    Every packet gives `received - device_time`: the true offset plus a delay that is never negative. The minimum over
+    the last seconds is the offset plus the shortest delay (Cristian, 1989; the one-way form of NTP's clock filter).
+    The drift between the crystals is the slope of the closest line below the minima of all half-second buckets: an edge
+    of their lower convex hull (Moon, Skelly and Towsley, 1999). So late packets do not tilt it.
+
+    The shortest delay itself (wire time, 3.2 ms for a u12 packet at 1 Mbaud) cannot be measured one-way and remains in
+    the result.
+    """
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything; the device's clock restarted."""
+        self._minima: list[tuple[float, float]] = []  # device time, smallest received - device time
+        self._bucket = -math.inf
+        self.drift = 0.0  # s/s, positive if the host's clock runs faster
+        self.offset = math.nan  # s, at the device's time zero
+
+    def update(self, device_time: float, received: float) -> float:
+        """Add one packet and return its device time on the host's clock.
+
+        Args:
+            device_time: s, the device's clock.
+            received: s, the host's monotonic clock at reception.
+
+        Returns:
+            s on the host's clock, never later than `received`.
+        """
+        delay = received - device_time
+        bucket = math.floor(device_time / _BUCKET)
+        if bucket > self._bucket:
+            self._bucket = bucket
+            self._minima = [m for m in self._minima if m[0] >= device_time - WINDOW]
+            self._minima.append((device_time, delay))
+            self._fit()
+        elif delay < self._minima[-1][1]:
+            self._minima[-1] = (device_time, delay)
+            self._fit()
+        return min(self.to_host(device_time), received)
+
+    def to_host(self, device_time: float) -> float:
+        """Return the host's time (s) at a device time (s); NaN before the first packet."""
+        return device_time + self.offset + self.drift * device_time
+
+    def _fit(self) -> None:
+        minima = self._minima
+        drift = 0.0
+        if minima[-1][0] - minima[0][0] >= _SHORTEST_BASELINE:
+            drift = min(max(_slope_beneath(minima), -_LARGEST_DRIFT), _LARGEST_DRIFT)
+        self.drift = drift
+        self.offset = min(delay - drift * time for time, delay in minima)
+
+
+def _slope_beneath(points: list[tuple[float, float]]) -> float:
+    """Return the slope of the line below all points with the least total distance to them.
+
+    It is the edge of their lower convex hull (Andrew, 1979) that spans their mean time.
+
+    Args:
+        points: (time, value), times rising, at least two.
+    """
+    hull: list[tuple[float, float]] = []
+    for time, value in points:
+        while len(hull) > 1 and _turns_right(hull[-2], hull[-1], (time, value)):
+            hull.pop()
+        hull.append((time, value))
+    mean = sum(time for time, _ in points) / len(points)
+    for (start, low), (end, high) in itertools.pairwise(hull):
+        if end >= mean:
+            return (high - low) / (end - start)
+    raise AssertionError("the last point is not before the mean")
+
+
+def _turns_right(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> bool:
+    """Return whether b lies on or above the line from a to c."""
+    return (b[1] - a[1]) * (c[0] - a[0]) >= (c[1] - a[1]) * (b[0] - a[0])
+
+
+class SequenceUnwrapper:
+    """Turns sequence numbers modulo 65536 into numbers that only rise, also across a reboot of the device.
+
+    Attributes:
+        lost: packets missed so far: every gap, modulo 65536.
+        duplicates: packets that repeated the number before.
+    """
+
+    def __init__(self) -> None:
+        self.lost = 0
+        self.duplicates = 0
+        self._base = 0
+        self._last: int | None = None  # None until the first packet: a host may join a running stream
+
+    def reboot(self) -> None:
+        """Expect numbers from 0 again and continue above everything returned so far."""
+        self._base += 0 if self._last is None else self._last + 1
+        self._last = -1
+
+    def update(self, sequence: int) -> int | None:
+        """Return the unwrapped number of a packet, or None for a repeated packet."""
+        if self._last is None:
+            self._last = sequence
+            return self._base + sequence
+        missed = (sequence - self._last - 1) % 65536
+        if missed == 65535 and self._last >= 0:
+            self.duplicates += 1
+            return None
+        self.lost += missed
+        self._last += missed + 1
+        return self._base + self._last
+
+
+@dataclass
+class BoardRequest:
+    """One command. Every attempt has its own sequence number; an answer to any of them counts.
+
+    Attributes:
+        type: of the command.
+        payload: of the command; identifies a PING.
+        sequences: of the attempts so far.
+        done: set when `ack`, `error` or a returned PING has arrived.
+        received: s, arrival of the answer.
+    """
+
+    type: PacketType
+    payload: bytes
+    sequences: set[int] = field(default_factory=set)
+    done: threading.Event = field(default_factory=threading.Event)
+    ack: Ack | None = None
+    received: float = 0.0
+    error: Exception | None = None
+
+
+class BoardRequests:
+    """All waiting commands; any thread may add one, one thread delivers answers."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._waiting: list[BoardRequest] = []
+
+    @contextmanager
+    def waiting(self, request: BoardRequest) -> Iterator[BoardRequest]:
+        """Accept answers to `request` inside the block."""
+        with self._lock:
+            self._waiting.append(request)
+        try:
+            yield request
+        finally:
+            with self._lock:
+                self._waiting.remove(request)
+
+    def attempt(self, request: BoardRequest, sequence: int) -> None:
+        """Record an attempt before it is sent."""
+        with self._lock:
+            request.sequences.add(sequence)
+
+    def acknowledge(self, ack: Ack, received: float) -> None:
+        """Deliver an ACK to its command; a late one is dropped."""
+        with self._lock:
+            for request in self._waiting:
+                if request.type == ack.type and ack.sequence in request.sequences:
+                    request.ack = ack
+                    request.received = received
+                    request.done.set()
+                    return
+
+    def ping_returned(self, payload: bytes, received: float) -> None:
+        """Deliver a returned PING to its sender."""
+        with self._lock:
+            for request in self._waiting:
+                if request.type is PacketType.PING and request.payload == payload and not request.done.is_set():
+                    request.received = received
+                    request.done.set()
+                    return
+
+    def fail(self, error: Exception) -> None:
+        """End all waiting commands with `error`."""
+        with self._lock:
+            for request in self._waiting:
+                request.error = error
+                request.done.set()
+
+    def rebooted(self) -> None:
+        """End all waiting commands except HELLO, whose answer may have revealed the reboot."""
+        with self._lock:
+            for request in self._waiting:
+                if request.type is not PacketType.HELLO and not request.done.is_set():
+                    request.error = BoardRebooted(request.type.name)
+                    request.done.set()
 
 
 class BoardReceiver:

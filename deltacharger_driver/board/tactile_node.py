@@ -30,19 +30,16 @@ from deltacharger_core import runtime
 from deltacharger_core.charge_port import port_of
 from deltacharger_core.environment import domain
 from deltacharger_core.frames import END_EFFECTOR, FrameParameters
+from deltacharger_core.host_clock import late
 from deltacharger_core.quantity import quantity
-from deltacharger_core.real_time import priority
-from deltacharger_driver.board.battery_node_io import PERIOD, BatteryPublishers
-from deltacharger_driver.board.contactor_guard import STALE_FRAME, STALE_POWER
+from deltacharger_core.real_time import RateMeter, priority
+from deltacharger_driver.board.contactor import STALE_FRAME, STALE_POWER, SharedCall
 from deltacharger_driver.board.keeper import BoardKeeper
-from deltacharger_driver.board.port import BoardPort
-from deltacharger_driver.board.samples import PowerSample, TactileSample
-from deltacharger_driver.board.shared_call import SharedCall
-from deltacharger_driver.board.tactile_node_io import SamplePublishers, limits_of
+from deltacharger_driver.board.protocol import PowerSample, TactileSample
+from deltacharger_driver.board.tactile_node_io import BATTERY_PERIOD, BatteryPublishers, SamplePublishers, limits_of
 from deltacharger_driver.errors import DriverError
-from deltacharger_driver.orders import late
 from deltacharger_driver.parameters import TactileNodeParameters
-from deltacharger_driver.rate_meter import RateMeter
+from deltacharger_driver.ports import RawPort
 from deltacharger_ros import node_support
 from deltacharger_ros.clock import steady_timer
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
@@ -68,7 +65,7 @@ class TactileNode(Node):
         given, frames = declare_all(self, TactileNodeParameters), declare_all(self, FrameParameters)
         reject_unknown(self)
         try:  # failing at start is a wrong set-up; a port that vanishes later is reopened
-            BoardPort(given.port, given.baud_rate).close()
+            RawPort(given.port, given.baud_rate).close()
         except DriverError as error:
             raise node_support.StartupError(f"tactile_node: {error}") from error
         self._lines = Log(self)
@@ -88,7 +85,7 @@ class TactileNode(Node):
         ):
             self.create_service(kind, name, serve, callback_group=ReentrantCallbackGroup(), qos_profile=SERVICE)
         steady_timer(self, _DIAGNOSTICS_PERIOD, self._diagnose)
-        steady_timer(self, PERIOD, self._publish_batteries)
+        steady_timer(self, BATTERY_PERIOD, self._publish_batteries)
         self._keeper = BoardKeeper(
             given.port,
             given.baud_rate,

@@ -1,23 +1,42 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Emulator of the board of docs/board-link.md: bytes in, bytes out, the clock passed in.
+"""Emulator of the board of docs/board-link.md: bytes in, bytes out, the clock passed in; arrays, wire faults, servos.
 
 Served on a `PseudoTerminal`, it behaves like a real board, except for the differences listed in docs/emulators.md.
 """
 
 from __future__ import annotations
 
+import collections
 import math
 import threading
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 
-from deltacharger_core.machine import COLUMNS, ROWS
-from deltacharger_driver.board.payloads import (
+from deltacharger_core.machine import BAUD_RATE, COLUMNS, CONTACT_FORCE, ROWS
+from deltacharger_driver.board.protocol import (
+    CLEAR_WELD,
+    CLOSE,
+    DEFAULT_RATE,
+    FLAG_OVERRUN,
+    FLAG_TARED,
+    LIMIT,
+    LONGEST_SERVO,
+    MINOR,
+    OPEN,
+    POWER_RATE,
+    SERVO_MINOR,
     Ack,
+    AckError,
     Hello,
+    PacketError,
+    PacketType,
+    SampleFormat,
+    check_header,
     decode_close,
     decode_limit,
     decode_ping,
@@ -30,35 +49,272 @@ from deltacharger_driver.board.payloads import (
     encode_probe,
     encode_samples,
 )
-from deltacharger_driver.board.protocol import (
-    CLEAR_WELD,
-    CLOSE,
-    DEFAULT_RATE,
-    FLAG_OVERRUN,
-    FLAG_TARED,
-    LIMIT,
-    OPEN,
-    POWER_RATE,
-    VERSION,
-    AckError,
-    DecoderCounters,
-    Packet,
-    PacketDecoder,
-    PacketError,
-    PacketType,
-    SampleFormat,
-    check_header,
-    encode_packet,
-)
-from deltacharger_driver.emulators.board_servos import BoardServos
-from deltacharger_driver.emulators.pads import EmulatedPads, PadPlant
-from deltacharger_driver.emulators.power import EmulatedPower, PowerPlant
-from deltacharger_driver.emulators.stage import StageParameters
-from deltacharger_driver.emulators.wire_faults import DelayLine, WireFaults
-from deltacharger_driver.pseudo_terminal import ByteDevice
+from deltacharger_driver.emulators.power import EmulatedPower, PowerPlant, StageParameters
+from deltacharger_driver.packets import VERSION, DecoderCounters, Packet, PacketDecoder, encode_packet
+from deltacharger_driver.ports import ByteDevice
+
+KINDS = ("drop", "corrupt", "truncate", "garbage", "duplicate")
+TARE_SAMPLES = 8
+TARE_PERIOD = 0.004  # s between the samples of a tare: 28 ms in all
+Forces = npt.NDArray[np.float64]
+
+SLOWEST_BUS, FASTEST_BUS = 9600, 4_500_000  # bit/s, range of SERVO_SPEED
 
 SLOWEST, FASTEST = 0.1, 1000.0  # Hz, range of RATE
 _BACKLOG = 16  # samplings kept until the next poll
+
+_UNACKNOWLEDGED = (PacketType.HEARTBEAT, PacketType.PING, PacketType.SERVO)
+_OF_SERVOS = (PacketType.SERVO, PacketType.SERVO_SPEED)
+_WITH_PAYLOAD = (PacketType.RATE, PacketType.CONTACTOR, PacketType.PING, *_OF_SERVOS)
+
+
+class DelayLine:
+    """A wire with delay; packets never overtake each other.
+
+    Attributes:
+        due: when the next packet arrives, s; inf = none.
+    """
+
+    def __init__(self) -> None:
+        self.due = math.inf
+        self._packets: collections.deque[tuple[float, bytes]] = collections.deque()
+
+    def pass_on(self, packets: list[bytes], delay: float, now: float) -> bytes:
+        """Send packets to arrive `delay` s later, or after the one before if that is later; return arrived bytes."""
+        if not delay and not self._packets:
+            return b"".join(packets)
+        for packet in packets:
+            last = self._packets[-1][0] if self._packets else now
+            self._packets.append((max(now + delay, last), packet))
+        arrived = bytearray()
+        while self._packets and self._packets[0][0] <= now:
+            arrived += self._packets.popleft()[1]
+        self.due = self._packets[0][0] if self._packets else math.inf
+        return bytes(arrived)
+
+
+@dataclass
+class _Injection:
+    kind: str
+    count: int
+    type: int | None
+
+
+class WireFaults:
+    """Damages packets on their way from an emulated device to the host.
+
+    Attributes:
+        probability: of each kind for every packet, initially 0. drop: it vanishes; corrupt: a bit flips; truncate:
+            its end is missing, delimiter included; garbage: 1 to 64 random bytes precede it; duplicate: it is sent
+            twice.
+        silent: nothing leaves the device, which keeps running.
+        deaf: nothing reaches the device, which keeps running.
+        delay: s, of every packet.
+
+    Args:
+        seed: of the damage.
+    """
+
+    def __init__(self, seed: int | None = None) -> None:
+        self.probability = dict.fromkeys(KINDS, 0.0)
+        self.silent = False
+        self.deaf = False
+        self.delay = 0.0
+        self._random = np.random.default_rng(seed)
+        self._injections: list[_Injection] = []
+
+    def inject(self, kind: str, count: int = 1, type: int | None = None) -> None:
+        """Apply `kind` to the next `count` packets of one type, or of any.
+
+        Raises:
+            ValueError: unknown kind.
+        """
+        if kind not in KINDS:
+            raise ValueError(f"unknown wire fault '{kind}'; known: {', '.join(KINDS)}")
+        self._injections.append(_Injection(kind, count, type))
+
+    def apply(self, packet: bytes, type: int) -> bytes:
+        """Return a packet (with its delimiters) of a type after the faults."""
+        if self.silent:
+            return b""
+        for kind in self._draw(type):
+            packet = self._damage(packet, kind)
+        return packet
+
+    def _draw(self, type: int) -> list[str]:
+        kinds = [kind for kind, chance in self.probability.items() if chance and self._random.random() < chance]
+        for injection in self._injections:
+            if injection.type in (None, type) and injection.count > 0:
+                injection.count -= 1
+                kinds.append(injection.kind)
+        self._injections = [injection for injection in self._injections if injection.count > 0]
+        return kinds
+
+    def _damage(self, packet: bytes, kind: str) -> bytes:
+        if kind == "drop" or not packet:
+            return b""
+        if kind == "duplicate":
+            return packet + packet
+        if kind == "garbage":
+            return self._random.bytes(int(self._random.integers(1, 65))) + packet
+        if kind == "truncate":
+            return packet[: int(self._random.integers(1, len(packet)))]
+        damaged = bytearray(packet)
+        damaged[int(self._random.integers(1, len(packet) - 1))] ^= 1 << int(self._random.integers(8))
+        return bytes(damaged)
+
+
+class PadPlant(Protocol):
+    """The physics behind the arrays, on its own clock."""
+
+    def read_taxels(self) -> tuple[npt.NDArray[np.floating], npt.NDArray[np.floating]]:
+        """Return left and right, (10, 10) N each, raw: offset and noise included, before the tare; NaN = dead."""
+
+
+class EmulatedPads:
+    """Both arrays on the board's side.
+
+    Attributes:
+        tared: whether a tare is subtracted.
+
+    Args:
+        plant: the physics.
+    """
+
+    def __init__(self, plant: PadPlant) -> None:
+        self._plant = plant
+        self._dead = np.zeros((2, ROWS, COLUMNS), bool)
+        self.reset()
+
+    def reset(self) -> None:
+        """Boot: discard the tare."""
+        self.tared = False
+        self._baseline: Forces = np.full((2, ROWS, COLUMNS), np.nan)  # N; NaN = unknown
+        self._tare_sum: Forces = np.zeros((2, ROWS, COLUMNS))
+        self._tare_live = np.zeros((2, ROWS, COLUMNS), int)  # samples in the sum
+        self._tare_count = 0
+        self.tare_due = math.inf
+
+    def set_dead(self, pad: int, row: int, column: int, dead: bool = True) -> None:
+        """Make a taxel dead or live: pad 0 is left, 1 right."""
+        self._dead[pad, row, column] = dead
+
+    def sample(self) -> Forces:
+        """Return (2, 10, 10) N: left and right after the tare, at least 0; NaN = dead, or not in the tare."""
+        raw = self._read()
+        return np.maximum(raw - self._baseline if self.tared else raw, 0.0)
+
+    def start_tare(self, now: float) -> AckError:
+        """Start a tare; DONE means that `poll_tare` will return the result."""
+        if self.tare_due < math.inf or self._loaded(self._read()):
+            return AckError.NOT_NOW
+        self._tare_sum[:] = 0.0
+        self._tare_live[:] = 0
+        self._tare_count = 0
+        self.tare_due = now
+        return AckError.DONE
+
+    def poll_tare(self, now: float) -> AckError | None:
+        """Take due samples; return the result of the tare, None while it runs."""
+        while now >= self.tare_due:
+            raw = self._read()
+            if self._loaded(raw):
+                self.tare_due = math.inf
+                return AckError.NOT_NOW
+            self._tare_sum += np.nan_to_num(raw)
+            self._tare_live += ~np.isnan(raw)
+            self._tare_count += 1
+            if self._tare_count == TARE_SAMPLES:
+                with np.errstate(invalid="ignore"):
+                    self._baseline = self._tare_sum / self._tare_live  # 0 / 0 is NaN: dead in every sample
+                self.tared = True
+                self.tare_due = math.inf
+                return AckError.DONE
+            self.tare_due += TARE_PERIOD
+        return None
+
+    def _read(self) -> Forces:
+        raw: Forces = np.array(self._plant.read_taxels(), float)
+        raw[self._dead] = np.nan
+        return raw
+
+    def _loaded(self, raw: Forces) -> bool:
+        """Return whether any live taxel carries a load after the present tare.
+
+        Without a tare, the resting value of a taxel may come near 1 N. The median of its pad then replaces the
+        baseline, because contact covers only a quarter of a pad.
+        """
+        baseline = np.where(np.isnan(self._baseline), _medians(raw), self._baseline)
+        return bool((raw - baseline >= CONTACT_FORCE).any())  # NaN compares false
+
+
+def _medians(raw: Forces) -> Forces:
+    """Return the median of each pad's live taxels (2, 1, 1) N; 0 for a pad without any."""
+    return np.array([_median(np.sort(pad[~np.isnan(pad)])) for pad in raw]).reshape(2, 1, 1)
+
+
+def _median(ordered: Forces) -> float:
+    """Return the median; numpy's own imports numpy.ma first, which stalls an emulator by 0.1 s on a busy computer."""
+    count = len(ordered)
+    return 0.5 * float(ordered[(count - 1) // 2] + ordered[count // 2]) if count else 0.0
+
+
+class BoardServos:
+    """The board's end of the servos' bus.
+
+    Bytes from the bus are dropped until the host has sent a SERVO packet since the boot: an older host gets none.
+
+    Args:
+        bus: the servos; None = the board has no such bus.
+
+    Attributes:
+        speed: of the bus, bit/s.
+    """
+
+    def __init__(self, bus: ByteDevice | None) -> None:
+        self._bus = bus
+        self.reset()
+
+    def __bool__(self) -> bool:
+        """Whether there is a bus."""
+        return self._bus is not None
+
+    @property
+    def minor(self) -> int:
+        """Minor protocol version of a board with this bus."""
+        return MINOR if self._bus is None else SERVO_MINOR
+
+    def reset(self) -> None:
+        """Discard received bytes, as a boot does."""
+        self.speed = BAUD_RATE
+        self._host_has_sent = False
+        self._received = b""
+
+    def set_speed(self, speed: int) -> AckError:
+        """Set the speed, bit/s, if the board supports it."""
+        if not SLOWEST_BUS <= speed <= FASTEST_BUS:
+            return AckError.BAD_PAYLOAD
+        self.speed, self._received = speed, b""
+        return AckError.DONE
+
+    def send(self, data: bytes, now: float) -> None:
+        """Send bytes of the host to the servos."""
+        self._host_has_sent = True
+        if self._bus is not None:
+            self._received += self._bus.receive(data, now)
+
+    def take(self, now: float) -> list[bytes]:
+        """Return the bytes from the servos, cut into pieces that fit a packet."""
+        if self._bus is not None:
+            self._received += self._bus.poll(now)
+        received, self._received = self._received if self._host_has_sent else b"", b""
+        return [received[at : at + LONGEST_SERVO] for at in range(0, len(received), LONGEST_SERVO)]
+
+    def next_event(self, now: float) -> float:
+        """Return the seconds until `take` returns bytes; inf for never."""
+        if self._bus is None:
+            return math.inf
+        return 0.0 if self._received else self._bus.next_event(now)
 
 
 class BoardPlant(PadPlant, PowerPlant, Protocol):
@@ -345,9 +601,6 @@ class BoardEmulator:
         return self.servos.set_speed(decode_servo_speed(packet.payload))
 
 
-_UNACKNOWLEDGED = (PacketType.HEARTBEAT, PacketType.PING, PacketType.SERVO)
-_OF_SERVOS = (PacketType.SERVO, PacketType.SERVO_SPEED)
-_WITH_PAYLOAD = (PacketType.RATE, PacketType.CONTACTOR, PacketType.PING, *_OF_SERVOS)
 _COMMANDS: dict[int, Callable[[BoardEmulator, Packet, float], AckError | None]] = {
     PacketType.HELLO: BoardEmulator._hello,
     PacketType.START: BoardEmulator._start,

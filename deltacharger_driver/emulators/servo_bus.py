@@ -11,28 +11,228 @@ import itertools
 import math
 import random
 import threading
+from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 
 from deltacharger_core.machine import SERVO_IDS
-from deltacharger_driver.emulators.servo_faults import ServoFaults, collide
-from deltacharger_driver.emulators.servo_firmware import ServoFirmware, ServoPlant
+from deltacharger_driver.emulators.servo import CHECKSUM, INSTRUCTION, LENGTH, OK, ServoFirmware, ServoPlant
 from deltacharger_driver.errors import DriverError
-from deltacharger_driver.servos.control_table import CHECKSUM, INSTRUCTION, LENGTH, OK
-from deltacharger_driver.servos.packets import (
+from deltacharger_driver.packets import (
     ACTION,
     BROADCAST,
+    HEADER,
     PING,
+    PLAIN,
     READ,
     REBOOT,
     REG_WRITE,
+    STATUS,
     SYNC_READ,
     SYNC_WRITE,
     WRITE,
-    Instruction,
-    InstructionParser,
-    status,
-    status_1,
+    crc16,
+    servo_packet,
 )
+
+STUFFED = PLAIN + b"\xfd"
+
+_LONGEST = 1024  # bytes of a packet; a longer length is noise
+_SILENCE = 0.02  # s without a byte after which an incomplete packet is discarded
+FAULTS = ("drop", "corrupt", "truncate", "duplicate", "garbage")
+"""Faults of a reply: lost, a byte changed, cut short, sent twice, preceded by noise."""
+
+
+@dataclass(frozen=True)
+class Instruction:
+    """One instruction packet.
+
+    Attributes:
+        servo: id of the addressed servo, or BROADCAST.
+        code: instruction.
+        parameters: unstuffed.
+        intact: whether its checksum is right.
+        size: bytes on the wire.
+        protocol: 1 or 2.
+    """
+
+    servo: int
+    code: int
+    parameters: bytes
+    intact: bool
+    size: int
+    protocol: int = 2
+
+
+def status(servo: int, error: int, parameters: bytes = b"") -> bytes:
+    """Return the status packet (Protocol 2.0) of a servo."""
+    return servo_packet(servo, bytes((STATUS, error)) + parameters)
+
+
+def status_1(servo: int, error: int, parameters: bytes = b"") -> bytes:
+    """Return the status packet (Protocol 1.0) of a servo."""
+    body = bytes((servo, len(parameters) + 2, error)) + parameters
+    return b"\xff\xff" + body + bytes((~sum(body) & 0xFF,))
+
+
+def _interrupted(body: bytearray) -> bool:
+    """Return whether an unstuffed header precedes the checksum: a servo restarts its parser there."""
+    if PLAIN not in body:
+        return False
+    at = body.replace(STUFFED, b"\0\0\0\0").find(PLAIN)
+    return 0 <= at < len(body) - 4
+
+
+class InstructionParser:
+    """Finds instruction packets in a stream of bytes; skips anything else, as a servo does.
+
+    Attributes:
+        protocol_1: whether to recognise Protocol 1.0 too.
+    """
+
+    def __init__(self, protocol_1: bool = False) -> None:
+        self.protocol_1 = protocol_1
+        self._buffer = bytearray()
+        self._heard = 0.0
+
+    def feed(self, data: bytes, now: float) -> list[Instruction]:
+        """Take `data`, received at `now` (s), and return the packets completed by it."""
+        if now - self._heard > _SILENCE:
+            self._buffer.clear()
+        self._heard = now
+        self._buffer += data
+        found = []
+        while (instruction := self._next()) is not None:
+            found.append(instruction)
+        return found
+
+    def _next(self) -> Instruction | None:
+        buffer = self._buffer
+        while True:
+            start = buffer.find(b"\xff\xff")
+            if start < 0:
+                del buffer[: max(len(buffer) - 1, 0)]
+                return None
+            del buffer[:start]
+            if len(buffer) < 4:
+                return None
+            if buffer.startswith(HEADER):
+                if len(buffer) < 10:
+                    return None
+                size = int.from_bytes(buffer[5:7], "little") + 7
+                if 10 <= size <= _LONGEST and not _interrupted(buffer[7:size]):
+                    return self._take(size) if len(buffer) >= size else None
+            elif self.protocol_1 and buffer[2] < 0xFD and 2 <= buffer[3] <= 8:
+                size = buffer[3] + 4
+                return self._take_1(size) if len(buffer) >= size else None
+            del buffer[0]
+
+    def _take(self, size: int) -> Instruction:
+        packet = bytes(self._buffer[:size])
+        del self._buffer[:size]
+        parameters = packet[8:-2]
+        if STUFFED in packet:
+            parameters = packet[7:-2].replace(STUFFED, PLAIN)[1:]
+        intact = crc16(packet[:-2]) == int.from_bytes(packet[-2:], "little")
+        return Instruction(packet[4], packet[7], parameters, intact, size)
+
+    def _take_1(self, size: int) -> Instruction:
+        packet = bytes(self._buffer[:size])
+        del self._buffer[:size]
+        intact = (~sum(packet[2:-1]) & 0xFF) == packet[-1]
+        return Instruction(packet[2], packet[4], packet[5:-1], intact, size, protocol=1)
+
+
+@dataclass
+class ServoFaults:
+    """Faults of an emulated bus; may be changed at any time, from any thread.
+
+    Attributes:
+        missing: ids without supply: they neither receive nor answer.
+        deaf: the servos receive nothing from the host and keep running.
+        delay: added before every reply, s.
+        rate: fault of `FAULTS` → share of affected replies, 0–1.
+        servos: ids affected by `rate`; empty = all.
+        rate_of: id → like `rate`, for one servo and in addition.
+    """
+
+    missing: set[int] = field(default_factory=set)
+    deaf: bool = False
+    delay: float = 0.0
+    rate: dict[str, float] = field(default_factory=dict)
+    servos: set[int] = field(default_factory=set)
+    rate_of: dict[int, dict[str, float]] = field(default_factory=dict)
+    _next: Counter[tuple[str, int]] = field(default_factory=Counter)
+
+    def next_reply(self, fault: str, servo: int, count: int = 1) -> None:
+        """Apply `fault` to the next `count` replies of one servo.
+
+        Raises:
+            DriverError: unknown fault.
+        """
+        if fault not in FAULTS:
+            raise DriverError(f"unknown fault '{fault}'; known: {', '.join(FAULTS)}")
+        self._next[(fault, servo)] += count
+
+    def apply(self, servo: int, reply: bytes, random_source: random.Random) -> bytes:
+        """Return `reply` after the faults."""
+        if not self.rate and not self._next and not self.rate_of:
+            return reply
+        for fault in FAULTS:
+            if self._occurs(fault, servo, random_source):
+                reply = _damage(fault, reply, random_source)
+        return reply
+
+    def _occurs(self, fault: str, servo: int, random_source: random.Random) -> bool:
+        if self._next[(fault, servo)] > 0:
+            self._next[(fault, servo)] -= 1
+            return True
+        shares = [self.rate.get(fault, 0.0)] if not self.servos or servo in self.servos else []
+        shares.append(self.rate_of.get(servo, {}).get(fault, 0.0))
+        return any(share > 0.0 and random_source.random() < share for share in shares)
+
+
+def _damage(fault: str, reply: bytes, random_source: random.Random) -> bytes:
+    if not reply or fault == "drop":
+        return b""
+    if fault == "corrupt":
+        # Behind the length, so that the packet is found and its checksum must detect the error.
+        at = random_source.randrange(min(7, len(reply) - 1), len(reply))
+        return reply[:at] + bytes((reply[at] ^ random_source.randrange(1, 256),)) + reply[at + 1 :]
+    if fault == "truncate":
+        return reply[: random_source.randrange(1, len(reply))]
+    if fault == "duplicate":
+        return reply + reply
+    return random_source.randbytes(5) + reply
+
+
+def collide(first: bytes, second: bytes, random_source: random.Random) -> bytes:
+    """Return what a UART (8N1) receives from two colliding replies: the second starts 1 to 9 bits later, and 0 wins."""
+    line = _bits(first)
+    other = [1] * random_source.randrange(1, 10) + _bits(second)
+    length = max(len(line), len(other))
+    line += [1] * (length - len(line))
+    other += [1] * (length - len(other))
+    return _received([a & b for a, b in zip(line, other, strict=True)])
+
+
+def _bits(data: bytes) -> list[int]:
+    return [bit for byte in data for bit in (0, *(byte >> place & 1 for place in range(8)), 1)]
+
+
+def _received(line: list[int]) -> bytes:
+    """Read bytes from a line; if a stop bit is missing, keep the byte and wait until the line is idle."""
+    found, at = bytearray(), 0
+    line = [*line, *[1] * 10]
+    while at < len(line) - 9:
+        if line[at]:
+            at += 1
+            continue
+        found.append(sum(bit << place for place, bit in enumerate(line[at + 1 : at + 9])))
+        at += 9
+        while at < len(line) and not line[at]:
+            at += 1
+    return bytes(found)
 
 
 class ServoBusEmulator:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Controls the arm's servos cycle by cycle: trajectories, stops on faults, recovery. No ROS.
+"""Controls the arm's servos cycle by cycle: trajectories, stops on faults, recovery, diagnostics. No ROS.
 
 One thread calls `open`, `cycle` and `close`; any thread may call `submit` and `request`, which take effect in the next
 cycle. Torque is switched on only by request, and every fault ends with torque off. Every switch-off first requests that
@@ -10,25 +10,262 @@ from __future__ import annotations
 
 import contextlib
 import math
+import queue
 import threading
 from collections import deque
 from collections.abc import Callable
+from dataclasses import asdict
+from typing import NamedTuple, Protocol
 
+from deltacharger_core.host_clock import late
+from deltacharger_core.quantity import quantity
 from deltacharger_driver.errors import DriverError, PortError, PortGone, TrajectoryRefused
-from deltacharger_driver.orders import late
-from deltacharger_driver.servos.bus import ServoBus
-from deltacharger_driver.servos.goals import ServoGoals
-from deltacharger_driver.servos.joint_watch import STOP_TIME, JointWatch
-from deltacharger_driver.servos.port import ServoPort
-from deltacharger_driver.servos.reconnection import Reconnection
+from deltacharger_driver.servos.bus import BusSnapshot, ServoBus
+from deltacharger_driver.servos.link import ServoPort
+from deltacharger_driver.servos.motion import HOLD, STOP_TIME, JointWatch, ServoGoals, Trajectory
+from deltacharger_driver.servos.registers import BusSettings, describe_hardware_error
 from deltacharger_driver.servos.report import ServoMemory, ServoPhase, ServoReport, find_faults
-from deltacharger_driver.servos.requests import Contactor, NoContactor, ServoRequest, ServoRequests, wait_until_open
-from deltacharger_driver.servos.restarts import ServoRestarts
-from deltacharger_driver.servos.snapshot import BusSettings, BusSnapshot
-from deltacharger_driver.servos.trajectory import HOLD, Trajectory
+
+_POLL_PERIOD = 0.005  # s between two checks of the contactor
+_REBOOT_TIME = 3.0  # s until all servos must be back
+
+_FIRST_PAUSE, _LONGEST_PAUSE = 0.25, 0.5  # s between two attempts to reopen the port
 
 OPENING_TIME = 0.3  # s; after a request, longest time with torque on until the contactor is reported open
 _TRIPS, _TRIPS_WITHIN = 3, 2.0  # this many watchdog trips within this many s are a fault
+
+OK, WARN, ERROR = b"\0", b"\1", b"\2"
+"""Levels of diagnostic_msgs/DiagnosticStatus."""
+_HOT = 70.0  # °C, ten below the servo's own limit
+_LITTLE_RESERVE = 60.0  # s
+
+
+class ServoRequest:
+    """A request to the servos' thread, with its result."""
+
+    def __init__(self, action: str, sent: float = math.inf) -> None:
+        self.action = action
+        self.sent = sent  # s, the servos' clock
+        self.success = False
+        self.message = ""
+        self._done = threading.Event()
+
+    def finish(self, success: bool, message: str) -> None:
+        """Set the result."""
+        self.success, self.message = success, message
+        self._done.set()
+
+    def wait(self, timeout: float) -> bool:
+        """Wait at most `timeout` s for the result; return whether it is there."""
+        return self._done.wait(timeout)
+
+
+class ServoRequests:
+    """Requests waiting for the servos' thread, and those held until torque is off.
+
+    `put` may be called from any thread, the others from the servos' thread.
+    """
+
+    def __init__(self) -> None:
+        self._queue: queue.SimpleQueue[ServoRequest] = queue.SimpleQueue()
+        self._held: list[ServoRequest] = []
+
+    def put(self, action: str, sent: float = math.inf) -> ServoRequest:
+        """Queue a request that was sent at `sent` (s)."""
+        request = ServoRequest(action, sent)
+        self._queue.put(request)
+        return request
+
+    def next(self) -> ServoRequest | None:
+        """Return the next queued request, or None."""
+        return None if self._queue.empty() else self._queue.get_nowait()
+
+    def hold(self, request: ServoRequest) -> None:
+        """Hold a request until `finish_held`."""
+        self._held.append(request)
+
+    @property
+    def has_queued(self) -> bool:
+        """Whether a request is queued."""
+        return not self._queue.empty()
+
+    @property
+    def has_held(self) -> bool:
+        """Whether a request is held."""
+        return bool(self._held)
+
+    def finish_held(self, success: bool, message: str) -> None:
+        """Finish all held requests."""
+        for request in self._held:
+            request.finish(success, message)
+        self._held.clear()
+
+    def refuse_all(self, reason: str) -> None:
+        """Finish every request without success."""
+        self.finish_held(False, reason)
+        while request := self.next():
+            request.finish(False, reason)
+
+
+class Contactor(Protocol):
+    """The contactor for the servos' thread: it must be open before torque goes off.
+
+    Neither method may wait or raise: they are called between two bus cycles.
+    """
+
+    def request_open(self) -> None:
+        """Request an opening."""
+
+    def is_open(self) -> bool:
+        """Return whether it was reported open after the last `request_open`, or does not exist."""
+
+
+class NoContactor:
+    """For an arm without a power stage."""
+
+    def request_open(self) -> None:
+        """Do nothing."""
+
+    def is_open(self) -> bool:
+        """Return True: nothing is closed."""
+        return True
+
+
+def wait_until_open(contactor: Contactor, seconds: float, clock: ServoPort) -> None:
+    """Request an opening and wait for it, at most `seconds`; for use outside the cycle."""
+    contactor.request_open()
+    end = clock.now() + seconds
+    while not contactor.is_open() and clock.now() < end:
+        clock.sleep(_POLL_PERIOD)
+
+
+class ServoRestarts:
+    """Requested reboots, and the configuration of restarted servos. Used by the servos' thread.
+
+    Args:
+        bus: of the servos.
+        notify: called with severity and message.
+    """
+
+    def __init__(self, bus: ServoBus, notify: Callable[[str, str], None]) -> None:
+        self._bus = bus
+        self._notify = notify
+        self._request: ServoRequest | None = None
+        self._deadline = 0.0
+        self._away: set[int] = set()  # servos being rebooted that are not back
+        self._last_error = ""
+
+    @property
+    def is_rebooting(self) -> bool:
+        """Whether some of the servos being rebooted are not back yet."""
+        return self._request is not None
+
+    def reboot(self, request: ServoRequest, snapshot: BusSnapshot | None) -> None:
+        """Restart the servos with a latched error, or all if none has one; finish `request` when they are back.
+
+        Raises:
+            NoAnswer, CorruptReply, ServoFault, PortGone: a servo did not accept the instruction.
+        """
+        if self._request is not None:
+            request.finish(False, "the servos are already being rebooted")
+            return
+        faulty = [i for i, bits in enumerate(snapshot.hardware_error) if bits] if snapshot is not None else []
+        self._away = set(faulty or range(len(self._bus.settings.ids)))
+        for index in sorted(self._away):
+            self._bus.reboot(index)
+        self._request, self._deadline = request, self._bus.clock.now() + _REBOOT_TIME
+
+    def restore(self, snapshot: BusSnapshot) -> list[int]:
+        """Configure every restarted servo; return the ids of those that restarted without a request.
+
+        Raises:
+            PortGone: the port vanished.
+        """
+        unrequested = []
+        for index, servo in enumerate(self._bus.settings.ids):
+            if not snapshot.rebooted[index]:
+                continue
+            try:
+                self._bus.configure(index)
+            except PortGone:
+                raise
+            except DriverError as error:
+                if str(error) != self._last_error:
+                    self._last_error = str(error)
+                    self._notify("warning", f"servo {servo} had restarted: {error}")
+                continue
+            self._notify("warning", f"servo {servo} had restarted; configured again, torque off")
+            self._away.discard(index)
+            if self._request is None:
+                unrequested.append(servo)
+        return unrequested
+
+    def look(self, snapshot: BusSnapshot, faults: list[str]) -> None:
+        """Finish the request if all servos are back or the time is over.
+
+        Args:
+            snapshot: of this cycle.
+            faults: that forbid moving.
+        """
+        if self._request is None:
+            return
+        if not self._away and snapshot.complete:
+            self._request.finish(not faults, "; ".join(faults) or "rebooted and configured; torque is off")
+        elif self._bus.clock.now() >= self._deadline:
+            self._request.finish(False, "; ".join(faults) or "the servos did not come back in time")
+        else:
+            return
+        self._request = None
+
+    def refuse(self, reason: str) -> None:
+        """Finish a pending request without success."""
+        if self._request is not None:
+            self._request.finish(False, reason)
+            self._request = None
+
+
+class Reconnection:
+    """Reopens a bus.
+
+    Args:
+        bus: to open.
+        notify: called with (severity, message) when the reason changes.
+
+    Attributes:
+        fault: why it is not connected.
+        count: number of successful reopenings.
+    """
+
+    def __init__(self, bus: ServoBus, notify: Callable[[str, str], None]) -> None:
+        self._bus = bus
+        self._notify = notify
+        self._pause = _FIRST_PAUSE
+        self._next = 0.0
+        self.fault = "not connected"
+        self.count = 0
+
+    def lost(self, error: Exception) -> None:
+        """Restart the attempts: the port has just vanished."""
+        self.fault = str(error)
+        self._pause = _FIRST_PAUSE
+        self._next = self._bus.clock.now() + self._pause
+
+    def attempt(self) -> bool:
+        """Open the bus if the next attempt is due; return whether it is open now."""
+        if self._bus.clock.now() < self._next:
+            return False
+        try:
+            self._bus.open(scan=False)
+        except DriverError as error:
+            self._pause = min(2.0 * self._pause, _LONGEST_PAUSE)
+            self._next = self._bus.clock.now() + self._pause
+            if str(error) != self.fault:
+                self.fault = str(error)
+                self._notify("error", self.fault)
+            return False
+        self._pause = _FIRST_PAUSE
+        self.count += 1
+        return True
 
 
 class ServoController:
@@ -371,3 +608,110 @@ class ServoController:
     def _refuse_all(self, reason: str) -> None:
         self._restarts.refuse(reason)
         self._requests.refuse_all(reason)
+
+
+class DiagnosticEntry(NamedTuple):
+    """One status.
+
+    Attributes:
+        level: OK, WARN or ERROR.
+        message: one sentence.
+        values: further values.
+        part: name of the device or bus.
+    """
+
+    level: bytes
+    message: str
+    values: dict[str, object]
+    part: str
+
+
+class RefusedTrajectories(NamedTuple):
+    """Trajectories that were refused.
+
+    Attributes:
+        now: since the last diagnostic.
+        total: since the start.
+        forbidden: of the total, those forbidden by the state of the contactor.
+        last: reason of the last refusal.
+        by: senders of those forbidden since the last diagnostic.
+    """
+
+    now: int
+    total: int
+    forbidden: int
+    last: str
+    by: str
+
+
+def bus_entry(
+    report: ServoReport,
+    controller: ServoController,
+    contactor: str,
+    refusals: RefusedTrajectories,
+    rate: float,
+    late: int,
+) -> DiagnosticEntry:
+    """Return the state of the bus.
+
+    Args:
+        report: of the last cycle.
+        controller: for its counters.
+        contactor: its known state.
+        refusals: of trajectories.
+        rate: cycles per second since the last diagnostic, Hz.
+        late: number of late cycles since the start.
+    """
+    settings = controller.bus.settings
+    values: dict[str, object] = {
+        "state": report.phase.value,
+        "baud_rate": settings.baud_rate,
+        "ids": list(settings.ids),
+        "rate": quantity(rate, ".1f", "Hz"),
+        "late_cycles": late,
+        **asdict(controller.bus.counters),
+        "watchdog_trips": controller.watchdog_trips,
+        "reconnections": controller.reconnections,
+        "contactor": contactor,
+        "refused_trajectories": refusals.total,
+        "forbidden_trajectories": refusals.forbidden,
+        "last_refusal": refusals.last,
+    }
+    if report.faults:
+        level, message = ERROR, "; ".join(report.faults)
+    elif report.phase is ServoPhase.STOPPING:
+        level, message = WARN if controller.is_releasing else ERROR, controller.stop_reason
+    elif refusals.now:
+        level, message = WARN, f"{refusals.last}{f'; sent by {refusals.by}' if refusals.by else ''}"
+    elif report.phase is ServoPhase.OFF and controller.unrequested_stop:
+        level, message = WARN, f"torque off: {controller.unrequested_stop}"
+    else:
+        level, message = OK, report.phase.value
+    return DiagnosticEntry(level, message, values, "servo bus")
+
+
+def servo_entry(report: ServoReport, index: int, servo: int, joint: str) -> DiagnosticEntry:
+    """Return the state of one servo."""
+    values: dict[str, object] = {
+        "joint": joint,
+        "id": servo,
+        "angle": quantity(report.angle[index], ".4f", "rad"),
+        "current": quantity(report.current[index], ".3f", "A"),
+        "voltage": quantity(report.voltage[index], ".1f", "V"),
+        "temperature": quantity(report.temperature[index], ".0f", "°C"),
+        "thermal_reserve": quantity(report.thermal_reserve[index], ".0f", "s"),
+        "torque_enabled": report.torque_enabled[index],
+    }
+    errors = describe_hardware_error(report.hardware_error[index])
+    level, message = OK, "OK"
+    if errors:
+        level, message = ERROR, f"latched: {errors}"
+    elif not report.valid[index]:
+        level, message = ERROR, "no good reply; check its supply and cable"
+    elif report.temperature[index] >= _HOT:
+        level, message = WARN, f"hot: {report.temperature[index]:.0f} °C"
+    elif report.thermal_reserve[index] <= 0.0:
+        level, message = ERROR, "the winding has reached its thermal limit; let it rest"
+    elif report.thermal_reserve[index] < _LITTLE_RESERVE:
+        level, message = WARN, f"thermal limit in {report.thermal_reserve[index]:.0f} s at this current"
+    return DiagnosticEntry(level, message, values, f"servo {servo}")

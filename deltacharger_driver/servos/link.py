@@ -1,23 +1,398 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads and writes servo registers by name over one serial port, with bounded retries and specific errors."""
+"""Servo registers by name over one serial port, with bounded retries and specific errors.
+
+Port and protocol are classes of the vendor's dynamixel-sdk with single methods replaced: they wait without polling,
+survive an unplugged cable, stuff what they send and check every reply. docs/servos.md lists each trap and its test.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import os
+import select
+import termios
 import threading
+import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
+import serial
+from dynamixel_sdk.port_handler import PortHandler
 from dynamixel_sdk.protocol1_packet_handler import Protocol1PacketHandler
-from dynamixel_sdk.robotis_def import COMM_RX_TIMEOUT, COMM_SUCCESS, INST_WRITE
+from dynamixel_sdk.protocol2_packet_handler import Protocol2PacketHandler
+from dynamixel_sdk.robotis_def import (
+    COMM_RX_TIMEOUT,
+    COMM_SUCCESS,
+    INST_PING,
+    INST_READ,
+    INST_WRITE,
+)
 
-from deltacharger_driver.errors import CorruptReply, DriverError, NoAnswer, ServoFault, WrongThread
+from deltacharger_core.machine import BAUD_RATE
+from deltacharger_driver.errors import (
+    CorruptReply,
+    DriverError,
+    NoAnswer,
+    PortGone,
+    ServoFault,
+    WrongDevice,
+    WrongThread,
+)
+from deltacharger_driver.packets import (
+    HEADER,
+    PLAIN,
+    STATUS,
+    PacketDecoder,
+    crc16,
+    instruction_packet,
+    sync_read_packet,
+)
 from deltacharger_driver.parameters import REPLY_MARGIN, STALL_MARGIN
-from deltacharger_driver.servos.mx64 import ALERT, REGISTERS, SPEEDS, describe_status_error
-from deltacharger_driver.servos.port import PATIENCE, ServoPort
-from deltacharger_driver.servos.protocol import ServoProtocol, instruction_packet
+from deltacharger_driver.ports import HANG_UPS, SPEEDS, USB_LATENCY, latency_timer, open_serial
+from deltacharger_driver.servos.registers import ALERT, REGISTERS, describe_status_error
+
+PATIENCE = 0.1
+"""s, like `parameters.REPLY_MARGIN`, outside the cycle, when only the set-up waits for the reply."""
+_DRAIN_LONGEST = 0.02  # s
+_SUSPECT_BYTES = 4096
+"""Number of first bytes that are searched for the board's packets. It sends POWER 20 times a second, so the wait of a
+ping receives one; with its 32-bit checksum no servo is mistaken for a board."""
+_ID, _LENGTH, _INSTRUCTION, _ERROR, _PARAMETERS = 4, 5, 7, 8, 9
+_SHORTEST = 11  # bytes of a status packet without parameters
 
 ATTEMPTS = 3
 """Attempts before a read or write fails; register accesses may be repeated without harm."""
+
+
+class ServoPort(PortHandler):  # type: ignore[misc]
+    """The SDK's port handler: waits in `poll`, keeps time by the monotonic clock, and reports a pulled cable.
+
+    It is also the clock of everything that uses it, so that emulated servos can be driven in virtual time.
+
+    Every method that receives raises `WrongDevice` if the first bytes after opening are the board's.
+
+    Args:
+        port: path, e.g. /dev/ttyUSB0.
+        baud_rate: bit/s.
+        reply_margin: s, see `parameters.REPLY_MARGIN`.
+
+    Attributes:
+        margin: reply margin of the next packets, s.
+    """
+
+    def __init__(self, port: str, baud_rate: int = BAUD_RATE, reply_margin: float = REPLY_MARGIN) -> None:
+        super().__init__(port)
+        self.is_open: bool = False
+        self.ser: serial.Serial | None = None
+        self.baudrate = baud_rate
+        self.latency = USB_LATENCY
+        self.margin = reply_margin
+        self._descriptor = -1
+        self._poller = select.poll()
+        self._buffer = bytearray()
+        self._board: PacketDecoder | None = None
+
+    def setupPort(self, cflag_baud: int) -> bool:  # noqa: N802
+        """Open the port exclusively, or change the speed of the open port.
+
+        Raises:
+            PortMissing, PortNotSerial, PortBusy, PortDenied, PortError: it cannot be opened.
+            PortGone: it was open and vanished.
+        """
+        if self.ser is not None and self.is_open:
+            try:
+                self.ser.baudrate = cflag_baud
+            except HANG_UPS as error:
+                raise self._gone(error) from error
+        else:
+            self.ser = open_serial(str(self.port_name), cflag_baud)
+            self._descriptor = self.ser.fileno()
+            self._poller = select.poll()
+            self._poller.register(self._descriptor, select.POLLIN)
+            self._board = PacketDecoder()
+            self.latency = latency_timer(self.port_name)
+            self.is_open = True
+        self.is_using = False
+        self.tx_time_per_byte = 10_000.0 / cflag_baud
+        self.clearPort()
+        return True
+
+    def closePort(self) -> None:  # noqa: N802
+        """Release the port. Never raises."""
+        if self.ser is not None:
+            with contextlib.suppress(*HANG_UPS):
+                self.ser.close()
+        self._descriptor = -1
+        self._buffer.clear()
+        self.is_open = self.is_using = False
+
+    def clearPort(self) -> None:  # noqa: N802
+        """Discard received bytes.
+
+        Raises:
+            PortGone: the port vanished.
+        """
+        self._buffer.clear()
+        try:
+            termios.tcflush(self._descriptor, termios.TCIFLUSH)
+        except HANG_UPS as error:
+            raise self._gone(error) from error
+
+    @property
+    def reply_timeout(self) -> float:
+        """Timeout of a short reply, s."""
+        return 2.0 * self.latency + self.margin
+
+    def drain(self, quiet: float = 0.0) -> None:
+        """Discard bytes until none came for `quiet` s, at least two USB frames: a late reply must not answer another.
+
+        Raises:
+            PortGone: the port vanished.
+        """
+        end = self.now() + quiet + _DRAIN_LONGEST
+        while self._wait(min(max(quiet, 2.0 * self.latency), end - self.now())):
+            self._buffer.clear()
+
+    def readPort(self, length: int) -> bytes:  # noqa: N802
+        """Return up to `length` bytes; wait for the first one, at most until the packet's timeout.
+
+        Raises:
+            PortGone: the port vanished.
+        """
+        if length <= 0:
+            return b""
+        data = bytes(self.received()[:length])
+        self.discard(len(data))
+        return data
+
+    def writePort(self, packet: Sequence[int]) -> int:  # noqa: N802
+        """Send `packet` and return the number of bytes that the kernel accepted.
+
+        Raises:
+            PortGone: the port vanished.
+        """
+        try:
+            return os.write(self._descriptor, bytes(packet))
+        except BlockingIOError:
+            return 0
+        except HANG_UPS as error:
+            raise self._gone(error) from error
+
+    def received(self) -> bytes | bytearray:
+        """Return the received bytes not yet taken; if there are none, wait like `readPort`.
+
+        Raises:
+            PortGone: the port vanished.
+        """
+        if not self._buffer:
+            self._wait(max(self.packet_timeout - self.getTimeSinceStart(), 0.0) * 1e-3)
+        return self._buffer
+
+    def discard(self, length: int) -> None:
+        """Remove the first `length` received bytes."""
+        del self._buffer[:length]
+
+    def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802
+        """Set the timeout: wire time of `packet_length` bytes, the adapter's latency both ways, and the margin."""
+        self.setPacketTimeoutMillis(self.tx_time_per_byte * packet_length + self.reply_timeout * 1e3)
+
+    def getCurrentTime(self) -> float:  # noqa: N802
+        """Return the monotonic time in milliseconds, the SDK's unit."""
+        return self.now() * 1e3
+
+    def now(self) -> float:
+        """Return the monotonic time, s."""
+        return time.monotonic()
+
+    def sleep(self, seconds: float) -> None:
+        """Do nothing for a time."""
+        time.sleep(seconds)
+
+    def _wait(self, timeout: float) -> bool:
+        """Wait at most `timeout` s for bytes and buffer them; return whether any arrived."""
+        try:
+            if not self._poller.poll(max(timeout, 0.0) * 1e3):
+                return False
+            data = os.read(self._descriptor, 4096)
+        except BlockingIOError:
+            return False
+        except HANG_UPS as error:
+            raise self._gone(error) from error
+        if not data:
+            raise self._gone("end of file")
+        self._buffer += data
+        if self._board is not None:
+            self._refuse_board(self._board, data)
+        return True
+
+    def _refuse_board(self, decoder: PacketDecoder, data: bytes) -> None:
+        decoder.feed(data)
+        counters = decoder.counters
+        if counters.packets or counters.version_errors:
+            self.is_using = False
+            raise WrongDevice(str(self.port_name), "the servos", "the board with the pads and the power stage")
+        if counters.bytes >= _SUSPECT_BYTES:
+            self._board = None
+
+    def _gone(self, reason: object) -> PortGone:
+        self.is_using = False
+        self._buffer.clear()
+        return PortGone(str(self.port_name), str(reason))
+
+
+@dataclass
+class ServoLinkCounters:
+    """Communication errors since the port was opened.
+
+    Attributes:
+        timeouts: replies that did not arrive.
+        corrupt: replies with a bad checksum or cut short.
+        late: valid replies to another request, discarded.
+        implausible: intact replies with an impossible value, discarded.
+        retries: requests repeated because the first reply was not good.
+    """
+
+    timeouts: int = 0
+    corrupt: int = 0
+    late: int = 0
+    implausible: int = 0
+    retries: int = 0
+
+
+class ServoProtocol(Protocol2PacketHandler):  # type: ignore[misc]
+    """The SDK's Protocol 2.0: stuffs what it sends, and accepts only replies of the right servo and length.
+
+    Attributes:
+        counters: communication errors so far.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.counters = ServoLinkCounters()
+        self._suspect = False
+
+    def updateCRC(self, crc_accum: int, data_blk_ptr: Sequence[int], data_blk_size: int) -> int:  # noqa: N802
+        """Return the checksum of the first `data_blk_size` bytes."""
+        return crc16(data_blk_ptr[:data_blk_size], crc_accum)
+
+    def removeStuffing(self, packet: list[int]) -> list[int]:  # noqa: N802
+        """Undo the stuffing and cut the packet to its length (the SDK shifts bytes under its own comparison)."""
+        end = int.from_bytes(bytes(packet[_LENGTH : _LENGTH + 2]), "little") + _INSTRUCTION - 2
+        body = bytes(packet[_INSTRUCTION:end]).replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
+        packet[_INSTRUCTION:end] = body
+        packet[_LENGTH : _LENGTH + 2] = (len(body) + 2).to_bytes(2, "little")
+        del packet[_INSTRUCTION + len(body) + 2 :]
+        return packet
+
+    def send(self, port: ServoPort, packets: bytes) -> None:
+        """Send whole packets in one write. First discard older bytes; after a failure, wait until the line is quiet.
+
+        Raises:
+            PortGone: the port vanished or accepts no bytes.
+        """
+        if self._suspect:
+            self._suspect = False
+            port.drain()
+        port.clearPort()
+        if port.writePort(packets) != len(packets):
+            raise PortGone(str(port.port_name), "it accepts no more bytes")
+
+    def rxPacket(self, port: ServoPort) -> tuple[Sequence[int], int]:  # noqa: N802
+        """Receive one packet from any servo, and count errors."""
+        intact = self._take_intact(port)
+        if intact:
+            return intact, COMM_SUCCESS
+        receive = super().rxPacket
+        packet, result = receive(port, *[False] * (receive.__code__.co_argcount - 2))  # `fast_option`, since SDK 3.8
+        if result == COMM_RX_TIMEOUT:
+            self.counters.timeouts += 1
+        elif result != COMM_SUCCESS:
+            self.counters.corrupt += 1
+        self._suspect = self._suspect or result != COMM_SUCCESS
+        return packet, int(result)
+
+    @staticmethod
+    def _take_intact(port: ServoPort) -> bytes:
+        """Return the received packet if nothing precedes it and it has no stuffing; else b''.
+
+        All other cases are left to the SDK, which handles each byte separately and costs ten times as much.
+        """
+        data = port.received()
+        end = _INSTRUCTION + int.from_bytes(data[_LENGTH:_INSTRUCTION], "little")
+        if len(data) < max(end, _SHORTEST) or not data.startswith(HEADER) or data[_INSTRUCTION] != STATUS:
+            return b""
+        packet = bytes(data[:end])
+        if packet.find(PLAIN, _INSTRUCTION) >= 0 or crc16(packet[:-2]) != packet[-2] | packet[-1] << 8:
+            return b""
+        port.discard(end)
+        return packet
+
+    def txRxPacket(self, port: ServoPort, txpacket: list[int]) -> tuple[Sequence[int] | None, int, int]:  # noqa: N802
+        """Send an instruction, stuffed unlike the SDK's own, and return (reply, result, error byte).
+
+        A reply of another servo or length is discarded: it is a late answer to an older request.
+        """
+        servo, instruction = txpacket[_ID], txpacket[_INSTRUCTION]
+        expected = 0
+        if instruction == INST_READ:
+            expected = txpacket[_PARAMETERS + 1] | txpacket[_PARAMETERS + 2] << 8
+        elif instruction == INST_PING:
+            expected = 3
+        self.send(port, instruction_packet(servo, instruction, bytes(txpacket[_INSTRUCTION + 1 : -2])))
+        port.setPacketTimeout(expected + 11)
+        while True:
+            reply, result = self.rxPacket(port)
+            if result != COMM_SUCCESS:
+                return reply, result, 0
+            if self._answers(reply, servo, expected):
+                return reply, result, reply[_ERROR]
+
+    def sync_read(
+        self, port: ServoPort, servos: Sequence[int], address: int, length: int, ahead: bytes = b""
+    ) -> dict[int, tuple[int, bytes]]:
+        """Read the same registers of several servos at once.
+
+        The SDK's GroupSyncRead gives up at the first missing reply, hides the error byte and returns 0 for missing
+        values. Here a servo without a good reply is absent from the result.
+
+        Args:
+            port: an open port.
+            servos: ids, in the order of their replies. By the protocol each waits for the one before, so those behind
+                a missing servo stay silent.
+            address: of the first register.
+            length: bytes.
+            ahead: packets without reply, sent in one write with the request: a second write would cost more than the
+                packets themselves.
+
+        Returns:
+            Error byte and data of each servo that answered.
+
+        Raises:
+            PortGone: the port vanished.
+        """
+        replies: dict[int, tuple[int, bytes]] = {}
+        self.send(port, ahead + sync_read_packet(address, length, tuple(servos)))
+        port.setPacketTimeout((_SHORTEST + length) * len(servos))
+        while len(replies) < len(servos):
+            packet, result = self.rxPacket(port)
+            if result == COMM_SUCCESS:
+                servo = packet[_ID]
+                if servo in servos and servo not in replies and self._answers(packet, servo, length):
+                    replies[servo] = (packet[_ERROR], bytes(packet[_PARAMETERS : _PARAMETERS + length]))
+            elif result == COMM_RX_TIMEOUT or port.packet_timeout == 0:
+                break
+        return replies
+
+    def _answers(self, reply: Sequence[int], servo: int, expected: int) -> bool:
+        """Return whether `reply` is the answer of `servo` with `expected` bytes, or its rejection without data."""
+        length = len(reply) - 11
+        refused = length == 0 and reply[_ERROR] & 0x7F
+        if reply[_ID] == servo and (length == expected or refused):
+            return True
+        self.counters.late += 1
+        self._suspect = True
+        return False
 
 
 class ServoLink:

@@ -26,38 +26,67 @@ diagnostics name a refused sender; charging continues.
 
 from __future__ import annotations
 
+import contextlib
+import math
 import threading
 import time
-from collections.abc import Sequence
+from array import array
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from deltacharger.msg import ChargerPower, ServoState
+from deltacharger.srv import SetContactor
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
+from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from deltacharger_core import runtime
 from deltacharger_core.environment import domain
 from deltacharger_core.frames import CHARGER_BASE, JointFrameParameters
-from deltacharger_core.machine import BEHIND_BOARD, JOINTS
-from deltacharger_driver.errors import DriverError, NoServosBehindBoard
+from deltacharger_core.host_clock import AHEAD
+from deltacharger_core.machine import BEHIND_BOARD, JOINTS, PROBE_LIFETIME, ZERO_CURRENT
+from deltacharger_core.real_time import RateMeter
+from deltacharger_driver.errors import DriverError, NoServosBehindBoard, TrajectoryRefused
 from deltacharger_driver.parameters import BOARD_MARGIN, SERVOS_FOLLOW, ServoNodeParameters
-from deltacharger_driver.rate_meter import RateMeter
-from deltacharger_driver.servos.controller import ServoController
-from deltacharger_driver.servos.diagnostics import RefusedTrajectories, bus_entry, servo_entry
-from deltacharger_driver.servos.motion_guard import ContactorState
+from deltacharger_driver.servos.controller import RefusedTrajectories, ServoController, bus_entry, servo_entry
+from deltacharger_driver.servos.motion import (
+    ContactorState,
+    JointLimits,
+    MotionGuard,
+    Sender,
+    ServoWaypoint,
+    check,
+    check_age,
+)
+from deltacharger_driver.servos.registers import BusSettings
 from deltacharger_driver.servos.report import ServoPhase, ServoReport
-from deltacharger_driver.servos.servo_node_io import ContactorClient, StatePublishers
-from deltacharger_driver.servos.snapshot import BusSettings
-from deltacharger_driver.servos.trajectory import JointLimits
-from deltacharger_driver.servos.trajectory_node_io import TrajectoryInbox
 from deltacharger_ros import node_support
+from deltacharger_ros.clock import Stamps, stamp_age
 from deltacharger_ros.diagnostics import Diagnostics
 from deltacharger_ros.duplicates import publishers
 from deltacharger_ros.executor import order_age
 from deltacharger_ros.log import Log
+from deltacharger_ros.messages import seconds
+from deltacharger_ros.on_demand import BoundedTopic, Received
 from deltacharger_ros.parameters import declare_all, declare_with_servos, reject_unknown
 from deltacharger_ros.qos import LATEST, SERVICE
+
+KEPT = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=64, reliability=ReliabilityPolicy.RELIABLE)
+"""charger_power and joint_trajectory: read in every cycle, so that a flood from one sender does not hide the others."""
+
+_LISTENERS_EVERY = 10  # cycles between two checks for subscribers of joint_states
+_HOLDER = "servo_node"  # anyone may open; the name only shows who did
+_LARGEST_POWER = 1024  # bytes of a charger_power; a valid one has 80
+LONGEST_SECRET = 64  # characters of header.frame_id
+_LARGEST = 128 * 1024  # bytes of a trajectory, and of all that one cycle reads; 1000 points have 112 000, read in 36 ms
+_LARGEST_HOLD = 512  # bytes of a trajectory without points
+_STRANGERS = 8  # publishers that are kept for the diagnostics
+_Line = tuple[Sender, int, int]
 
 _DIAGNOSTICS_PERIOD = 1.0  # s
 _REFUSAL_PERIOD = 0.2  # s between two diagnostics while trajectories are refused
@@ -66,6 +95,238 @@ _LATE = 0.5  # of a period; a cycle that begins later than this is late
 _BOARD_TIMEOUT = 10.0  # s at start to wait for the servo port of tactile_node
 _POLL_PERIOD = 0.05  # s between two checks for this port
 _SERVICE_TIMEOUT = 5.0  # s; a reboot takes up to 3
+
+
+class ContactorClient:
+    """The contactor for `ServoController`, and the motion guard, over set_contactor and charger_power.
+
+    Used by one thread.
+
+    Args:
+        node: the client; its executor takes the answers without a waiting thread.
+        clock: s.
+
+    Attributes:
+        guard: decides who may move the arm.
+    """
+
+    def __init__(self, node: Node, clock: Callable[[], float] = time.monotonic) -> None:
+        self.guard = MotionGuard()
+        self._clock = clock
+        self._node = node
+        self._client: Any = node.create_client(SetContactor, "set_contactor", qos_profile=SERVICE)
+        self._power = BoundedTopic(node, ChargerPower, "charger_power", KEPT)
+        self._pending: Future[Any] | None = None
+        self._requested_at = -math.inf  # s, of the last request to open
+        self._open = True
+
+    def request_open(self) -> None:
+        """Request an opening if there is a server; returns at once."""
+        with contextlib.suppress(RuntimeError):  # ROS is shutting down
+            if self._pending is not None:
+                self._client.remove_pending_request(self._pending)  # its server died: it would wait forever
+                self._pending = None
+            self._open = not self._client.service_is_ready()
+            if not self._open:
+                self._requested_at = self._clock()
+                self._pending = self._client.call_async(SetContactor.Request(close=False, holder=_HOLDER))
+
+    def is_open(self) -> bool:
+        """Return whether it was measured open and without current after the last `request_open`, or has no server."""
+        if not self._open:
+            with contextlib.suppress(RuntimeError):
+                self._read_power()
+        return self._open
+
+    def state(self) -> ContactorState:
+        """Return its known state."""
+        with contextlib.suppress(RuntimeError):  # ROS is shutting down
+            self._read_power()
+        announced = not self.guard.was_received and self._is_announced()
+        return self.guard.state(self._clock(), announced)
+
+    def _is_announced(self) -> bool:
+        with contextlib.suppress(RuntimeError):
+            return bool(self._client.service_is_ready() or self._node.count_publishers(self._power.name))
+        return True
+
+    def _read_power(self) -> None:
+        received = self._power.take()
+        if not received:
+            return
+        now, clock = self._clock(), self._node.get_clock()
+        opened = False
+        # The newest of each publisher; all messages if rclpy does not provide the publisher.
+        for each in {one.publisher or one.data: one for one in received}.values():
+            power = each.read() if len(each.data) <= _LARGEST_POWER else None
+            if power is None:
+                continue
+            age = stamp_age(clock, power.header.stamp)
+            current = abs(power.charge_current) >= ZERO_CURRENT  # NaN = not measured: the contactor alone decides
+            live = power.contactor_closed or current or power.fault == ChargerPower.FAULT_CONTACTOR_WELDED
+            opened |= not live and now - age > self._requested_at and age >= -AHEAD
+            armed = power.probe_age < PROBE_LIFETIME  # whatever it found: limits may allow a close on a dead port
+            self.guard.observe(each.publisher or self._nameless(live), live, armed, age, now)
+        self._open |= opened and self.guard.state(now, False) is not ContactorState.CLOSED
+
+    def _nameless(self, live: bool) -> bytes:
+        """Return an id if rclpy provides none: with several publishers, reports of open and live are kept apart."""
+        return b"live" if live and self._node.count_publishers(self._power.name) > 1 else b""
+
+
+class StatePublishers:
+    """Publishes servo_state and joint_states from reports.
+
+    Args:
+        node: the publisher.
+        qos: of servo_state.
+        torque_constant: N·m/A, for the efforts of joint_states.
+        frame_id: full name of charger_base.
+        joint_prefix: prefix of the names in joint_states.
+    """
+
+    def __init__(
+        self, node: Node, qos: QoSProfile, torque_constant: float, frame_id: str, joint_prefix: str = ""
+    ) -> None:
+        self._torque_constant = torque_constant
+        self._cycle = 0
+        self._joints_wanted = False
+        self._state = ServoState(name=list(JOINTS))
+        self._joint = JointState(name=[f"{joint_prefix}{name}" for name in JOINTS])
+        self._state.header.frame_id = self._joint.header.frame_id = frame_id
+        self._stamps = Stamps(node.get_clock())
+        self._states = node.create_publisher(ServoState, "servo_state", qos)
+        self._joints = node.create_publisher(JointState, "joint_states", 10)
+
+    def publish(self, report: ServoReport) -> None:
+        """Publish the state after a cycle; joint_states only if all angles are known and it has subscribers."""
+        state, stamp = self._state, self._stamps.at(report.time)
+        state.header.stamp = stamp
+        state.position, state.velocity = array("d", report.angle), array("d", report.velocity)
+        state.current = array("d", report.current)
+        state.voltage, state.temperature = array("f", report.voltage), array("f", report.temperature)
+        state.hardware_error, state.stray = array("B", report.hardware_error), array("B", report.stray)
+        state.torque_enabled, state.valid = list(report.torque_enabled), list(report.valid)
+        state.thermal_reserve = array("f", report.thermal_reserve)
+        self._states.publish(state)
+        if self._cycle % _LISTENERS_EVERY == 0:
+            self._joints_wanted = self._joints.get_subscription_count() > 0
+        self._cycle += 1
+        if self._joints_wanted and not math.isnan(sum(report.angle)):
+            joint = self._joint
+            joint.header.stamp, joint.position, joint.velocity = stamp, state.position, state.velocity
+            joint.effort = array("d", [current * self._torque_constant for current in report.current])
+            self._joints.publish(joint)
+
+
+class TrajectoryInbox:
+    """Selects which received trajectory a `ServoController` follows: the newest that is allowed and valid.
+
+    Any node may publish on joint_trajectory. In each cycle a bounded part of the received data is read, the newest
+    first. A refused message is counted, and the one before it is tried. Used by the controller's thread.
+
+    Args:
+        node: the subscriber.
+        limits: of angles and torque bounds.
+
+    Attributes:
+        refused: trajectories refused since the start.
+        forbidden: of these, those refused because of the contactor.
+        last_refusal: reason of the last refusal.
+        strangers: publisher ids of the forbidden ones; the reader clears it.
+    """
+
+    def __init__(self, node: Node, limits: JointLimits) -> None:
+        self.refused = self.forbidden = 0
+        self.last_refusal = ""
+        self.strangers: set[bytes] = set()
+        self._node = node
+        self._limits = limits
+        self._topic = BoundedTopic(node, JointTrajectory, "joint_trajectory", KEPT)
+        self._followed: _Line | None = None  # the line being followed
+
+    @property
+    def topic(self) -> str:
+        """Full name of the topic."""
+        return self._topic.name
+
+    def serve(self, controller: ServoController, guard: MotionGuard, state: ContactorState) -> None:
+        """Pass the newest valid trajectory to the controller and refuse the newer ones.
+
+        Args:
+            controller: receives the trajectory.
+            guard: decides who may move the arm.
+            state: present state of the contactor.
+        """
+        budget = _LARGEST + KEPT.depth * _LARGEST_HOLD
+        for received in reversed(self._topic.take()):
+            sender = _sender(received)
+            if sender is None:
+                self._refuse(f"its header cannot be read, or its frame_id is longer than {LONGEST_SECRET} characters")
+                continue
+            allowed = guard.may_move(sender, state)
+            size = len(received.data)
+            if not allowed and size > _LARGEST_HOLD:
+                self._forbid(received, state)
+                continue
+            if size > _LARGEST:
+                self._refuse(f"it has {size} bytes, more than {_LARGEST}; send fewer points and short names")
+                continue
+            budget -= size
+            if budget < 0:  # too much data already refused
+                return
+            try:
+                message = received.read()
+                if message is None:
+                    raise TrajectoryRefused("its bytes are not a JointTrajectory")
+                if message.points and not allowed:
+                    self._forbid(received, state)
+                    continue
+                self._follow(controller, message, sender)
+            except TrajectoryRefused as error:
+                self._refuse(error.reason)
+                continue
+            if message.points:
+                guard.record_move(sender, state)
+            return
+
+    def _follow(self, controller: ServoController, message: Any, sender: Sender) -> None:
+        """Submit a trajectory or raise TrajectoryRefused."""
+        if controller.phase is not ServoPhase.ON:
+            self._followed = None
+        trajectory = check(message.joint_names, [_waypoint(point) for point in message.points], self._limits)
+        stamp = message.header.stamp
+        old = self._age(stamp)
+        line = (sender, stamp.sec, stamp.nanosec)
+        # A later piece of a running line is as old as its end: the line itself may last longer than a stamp is valid.
+        check_age(max(old - trajectory.duration, 0.0) if line == self._followed else old)
+        start = controller.now() - old if stamp.sec or stamp.nanosec else math.inf
+        controller.submit(trajectory, start)
+        self._followed = line if not trajectory.is_hold else self._followed
+
+    def _age(self, stamp: Any) -> float:
+        """Return the age of a stamp on the node's clock, s; 0 if not set, NaN if invalid."""
+        return stamp_age(self._node.get_clock(), stamp) if stamp.sec or stamp.nanosec else 0.0
+
+    def _forbid(self, received: Received, state: ContactorState) -> None:
+        self.forbidden += 1
+        if len(self.strangers) < _STRANGERS:
+            self.strangers.add(received.publisher)
+        self._refuse(state.value)
+
+    def _refuse(self, reason: str) -> None:
+        self.refused += 1
+        self.last_refusal = str(TrajectoryRefused(reason))
+
+
+def _sender(received: Received) -> Sender | None:
+    """Return the sender; None if its frame_id is unreadable or too long."""
+    secret = received.frame_id(LONGEST_SECRET)
+    return None if secret is None else Sender(secret, received.publisher)
+
+
+def _waypoint(point: JointTrajectoryPoint) -> ServoWaypoint:
+    return ServoWaypoint(seconds(point.time_from_start), point.positions, point.effort)
 
 
 class ServoNode(Node):

@@ -31,8 +31,7 @@ from trajectory_msgs.msg import JointTrajectory
 from deltacharger_core.frames import CHARGER_BASE, JointFrameParameters
 from deltacharger_core.machine import JOINTS, NOMINAL_VOLTAGE, STALL_TORQUE, TORQUE_CONSTANT
 from deltacharger_driver.errors import TrajectoryRefused
-from deltacharger_driver.servos.goals import ServoGoals
-from deltacharger_driver.servos.trajectory import JointLimits, ServoWaypoint, check, check_age
+from deltacharger_driver.servos.motion import JointLimits, ServoGoals, ServoWaypoint, check, check_age
 from deltacharger_kinematics import DeltaGeometry
 from deltacharger_ros import node_support, qos
 from deltacharger_ros.clock import stamp_age

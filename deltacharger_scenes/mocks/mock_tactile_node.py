@@ -37,11 +37,9 @@ from std_srvs.srv import Trigger
 from deltacharger_core.charge_port import port_of
 from deltacharger_core.frames import END_EFFECTOR, FrameParameters
 from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, GRAVITY, PADS, ROWS, TORQUE_CONSTANT
-from deltacharger_driver.board.battery_node_io import PERIOD, BatteryPublishers
-from deltacharger_driver.board.contactor_lease import LeaseRefused
-from deltacharger_driver.board.payloads import Power
-from deltacharger_driver.board.samples import PowerSample, TactileSample
-from deltacharger_driver.board.tactile_node_io import SamplePublishers, limits_of
+from deltacharger_driver.board.contactor import LeaseRefused
+from deltacharger_driver.board.protocol import Power, PowerSample, TactileSample
+from deltacharger_driver.board.tactile_node_io import BATTERY_PERIOD, BatteryPublishers, SamplePublishers, limits_of
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import node_support, qos
 from deltacharger_ros.clock import steady_timer
@@ -86,7 +84,7 @@ class MockTactileNode(Node):
         pitch = self._model.contact.pad_side / COLUMNS
         self._samples = SamplePublishers(self, qos.LATEST, pitch, frames.named(END_EFFECTOR))
         self._batteries = BatteryPublishers(self, frames)
-        steady_timer(self, PERIOD, self._publish_batteries)
+        steady_timer(self, BATTERY_PERIOD, self._publish_batteries)
         group = ReentrantCallbackGroup()
         self._servos = LatestMessage(self, ServoState, "servo_state", qos.LATEST)
         self.create_service(Trigger, "tare", self._on_tare, callback_group=group, qos_profile=SERVICE)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 
 from deltacharger_core.charge_port import ChargeLimits
-from deltacharger_driver.board.contactor_lease import ContactorLease, LeaseRefused
+from deltacharger_driver.board.contactor import ContactorLease, LeaseRefused
 from deltacharger_driver.board.protocol import BoardFault, clearing
 
 BATTERY = 26.0  # V, within machine.BATTERY_MIN and BATTERY_MAX

@@ -13,14 +13,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from deltacharger_core.machine import JOINTS
-from deltacharger_driver.servos.mx64 import SPEEDS
+from deltacharger_driver.ports import SPEEDS
 from deltacharger_sim.target_rows import ROWS, usual
 
 if TYPE_CHECKING:
     from deltacharger_driver.emulators.board import BoardEmulator
+    from deltacharger_driver.emulators.servo import ServoFirmware
     from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
-    from deltacharger_driver.emulators.servo_firmware import ServoFirmware
-    from deltacharger_driver.pseudo_terminal import PseudoTerminal
+    from deltacharger_driver.ports import PseudoTerminal
     from deltacharger_sim.shared_world import SharedWorld
 
 ONE, SOME = "one", "some"

@@ -21,7 +21,7 @@ from deltacharger_core.environment import domain
 from deltacharger_core.machine import BEHIND_BOARD
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
-from deltacharger_driver.pseudo_terminal import ByteDevice, PseudoTerminal
+from deltacharger_driver.ports import ByteDevice, PseudoTerminal
 from deltacharger_sim.charger.fault_channel import SOCKET, ControlServer, Registration, answer
 from deltacharger_sim.charger.faults import Faults, Hardware
 from deltacharger_sim.charger.simulation import Simulation

@@ -17,6 +17,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from deltacharger_core.arrays import Array
+from deltacharger_core.host_clock import late
 from deltacharger_core.machine import (
     COLUMNS,
     CONTACT_FORCE,
@@ -49,9 +50,8 @@ from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.profile import TargetProfile
 from deltacharger_driver.board.protocol import POWER_RATE, AckError
 from deltacharger_driver.emulators.power import EmulatedPower
-from deltacharger_driver.orders import late
-from deltacharger_driver.servos.joint_watch import STOP_TIME, JointWatch
-from deltacharger_driver.servos.snapshot import BusSettings
+from deltacharger_driver.servos.motion import STOP_TIME, JointWatch
+from deltacharger_driver.servos.registers import BusSettings
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.trajectory_feed import Waypoint
 from deltacharger_sim.mechanics import Mechanics

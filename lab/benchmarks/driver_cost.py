@@ -39,11 +39,10 @@ PARTS = {
 
 def emulate(folder: Path) -> None:
     """Run both emulators until stdin ends."""
-    from deltacharger_driver.emulators.bench_arm import BenchArm
-    from deltacharger_driver.emulators.bench_plant import BenchPlant
+    from deltacharger_driver.emulators.bench import BenchArm, BenchPlant
     from deltacharger_driver.emulators.board import BoardEmulator
     from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
-    from deltacharger_driver.pseudo_terminal import PseudoTerminal
+    from deltacharger_driver.ports import PseudoTerminal
 
     servos = PseudoTerminal(ServoBusEmulator(BenchArm()), folder / "servo")
     with servos, PseudoTerminal(BoardEmulator(BenchPlant()), folder / "board"):
@@ -94,7 +93,7 @@ def _trajectory(now: Any) -> Any:
 def loop_bus(folder: Path) -> None:
     """Cycle the servo bus at 100 Hz, without ROS, until stdin ends."""
     from deltacharger_driver.servos.bus import ServoBus
-    from deltacharger_driver.servos.snapshot import BusSettings
+    from deltacharger_driver.servos.registers import BusSettings
 
     bus = ServoBus(BusSettings(str(folder / "servo")))
     bus.open()

@@ -64,9 +64,9 @@ class TimedBoard:
 
 def emulate_bench(folder: Path) -> None:
     """Emulate a board on a bench plant until stdin ends."""
-    from deltacharger_driver.emulators.bench_plant import BenchPlant
+    from deltacharger_driver.emulators.bench import BenchPlant
     from deltacharger_driver.emulators.board import BoardEmulator
-    from deltacharger_driver.pseudo_terminal import PseudoTerminal
+    from deltacharger_driver.ports import PseudoTerminal
 
     plant = BenchPlant()
     board = TimedBoard(BoardEmulator(plant))

@@ -50,7 +50,7 @@ def emulate(folder: Path) -> None:
     """Emulate the simulated scene's hardware and record it until stdin ends."""
     from deltacharger_driver.emulators.board import BoardEmulator
     from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
-    from deltacharger_driver.pseudo_terminal import PseudoTerminal
+    from deltacharger_driver.ports import PseudoTerminal
     from deltacharger_scenes.scene import load_scene
     from deltacharger_sim.shared_world import SharedWorld
 

@@ -41,11 +41,10 @@ MESSAGES = {"servo": "good servo_state", "board": "tactile_frame"}
 
 def emulate(folder: Path) -> None:
     """Run both emulators on bench plants, plug and unplug on order, until stdin ends."""
-    from deltacharger_driver.emulators.bench_arm import BenchArm
-    from deltacharger_driver.emulators.bench_plant import BenchPlant
+    from deltacharger_driver.emulators.bench import BenchArm, BenchPlant
     from deltacharger_driver.emulators.board import BoardEmulator
     from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
-    from deltacharger_driver.pseudo_terminal import PseudoTerminal
+    from deltacharger_driver.ports import PseudoTerminal
 
     def plug(name: str) -> float:
         began = time.monotonic()  # before the port appears: this time counts for the node

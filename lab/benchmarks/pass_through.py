@@ -26,13 +26,12 @@ from driver_processes import Figure
 
 from deltacharger_core.machine import BAUD_RATE
 from deltacharger_driver.board.keeper import BoardKeeper
-from deltacharger_driver.emulators.bench_arm import BenchArm
-from deltacharger_driver.emulators.bench_plant import BenchPlant
+from deltacharger_driver.emulators.bench import BenchArm, BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.ports import PseudoTerminal
 from deltacharger_driver.servos.bus import ServoBus
-from deltacharger_driver.servos.snapshot import BusSettings
+from deltacharger_driver.servos.registers import BusSettings
 
 ANGLES, CURRENTS = (-0.7, -0.5, 0.2), (0.3, 0.3, 0.3)
 ROUNDS = 5

@@ -16,7 +16,7 @@ from deltacharger_bringup.cli.main import main
 from deltacharger_bringup.cli.output import DONE, FAILED
 from deltacharger_core.machine import DOCKING_JITTER
 from deltacharger_docking.codes import DockingError
-from deltacharger_driver.servos.mx64 import CURRENT_UNIT
+from deltacharger_driver.servos.registers import CURRENT_UNIT
 from deltacharger_lab.campaigns import recording
 from deltacharger_lab.campaigns.recording import Protocol, record_paper, record_part
 from deltacharger_lab.training import __main__ as training

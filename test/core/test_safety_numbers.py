@@ -19,6 +19,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
+from deltacharger_core import host_clock
 from deltacharger_core.charge_port import ChargeLimits, Port
 from deltacharger_core.parameters import ParameterError, declared
 from deltacharger_core.script import NEXT
@@ -33,7 +34,6 @@ from deltacharger_docking import (
     evidence,
     goals,
     machine,
-    motion,
     place,
     press,
     release,
@@ -43,21 +43,21 @@ from deltacharger_docking import (
     watch,
     wired,
 )
+from deltacharger_docking import motion as docking_motion
 from deltacharger_docking.clearance import MisalignmentEstimate, Verdict, clearance_stddev, judge
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.observation import DockGoal, ElectrodePose, Observation, Reply
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.profile import TargetProfile
 from deltacharger_docking.ros.frame_check import FrameCheck
-from deltacharger_driver import orders
-from deltacharger_driver.board import contactor_guard, contactor_lease, payloads, protocol, samples
+from deltacharger_driver.board import contactor, protocol
 from deltacharger_driver.emulators.board import BoardEmulator
-from deltacharger_driver.emulators.power import EmulatedPower
-from deltacharger_driver.emulators.stage import PowerStage, StageParameters, StageReading
+from deltacharger_driver.emulators.power import EmulatedPower, PowerStage, StageParameters, StageReading
 from deltacharger_driver.errors import DriverError
+from deltacharger_driver.packets import PacketDecoder
 from deltacharger_driver.parameters import ServoNodeParameters, TactileNodeParameters
-from deltacharger_driver.servos import controller, motion_guard, mx64, snapshot, thermal, trajectory
-from deltacharger_driver.servos.goals import ServoGoals
+from deltacharger_driver.servos import controller, motion, registers, report
+from deltacharger_driver.servos.motion import ServoGoals
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.line import PEAK_SPEED
 from deltacharger_kinematics.scalar import ScalarDelta
@@ -542,7 +542,7 @@ ANSWERS = (
 
 
 def leases(duration: float, after: float = 0.0) -> bool:
-    lease = contactor_lease.ContactorLease()
+    lease = contactor.ContactorLease()
     lease.probed(NAN, 24.0, 0.0)
     return passes(lambda: lease.take("docking", duration, 0.0, limits=LIMITS)) and lease.is_live(after)
 
@@ -551,29 +551,29 @@ def guards(newton: float = 1.0, fault: int = 0, power_age: float = 0.0, frame_ag
     """Return whether the guard closes the contactor."""
     link = SimpleNamespace(keep_alive=lambda until: None, stop_heartbeat=lambda: None)
     link.contactor = lambda close, limits: None
-    link.probe = lambda: samples.ProbeResult(**{"resistance": NAN, "target_voltage": 24.0, "time": 10.0} | probe)
-    guard = contactor_guard.ContactorGuard(link, clock=lambda: 10.0)  # type: ignore[arg-type]
+    link.probe = lambda: protocol.ProbeResult(**{"resistance": NAN, "target_voltage": 24.0, "time": 10.0} | probe)
+    guard = contactor.ContactorGuard(link, clock=lambda: 10.0)  # type: ignore[arg-type]
     guard.probe()
     pads = np.full((2, 10, 10), NAN, np.float32)
     pads[1, 4, 4] = newton
-    guard.observe_tactile(samples.TactileSample(10.0 - frame_age, 1, 0, pads, True, False))
-    guard.observe_power(samples.PowerSample(10.0 - power_age, payloads.Power(26.0, 24.0, 0.0, False, fault)))
+    guard.observe_tactile(protocol.TactileSample(10.0 - frame_age, 1, 0, pads, True, False))
+    guard.observe_power(protocol.PowerSample(10.0 - power_age, protocol.Power(26.0, 24.0, 0.0, False, fault)))
     return passes(guard.close, "docking", 0.25, "", LIMITS)
 
 
 def renews(newest: float, touched: float) -> bool:
     """Return whether the guard renews a lease with a newest frame and a last contact of these ages (s)."""
     link, now = Mock(), 10.0
-    link.probe.return_value = samples.ProbeResult(NAN, 24.0, 10.0)
-    guard = contactor_guard.ContactorGuard(link, clock=lambda: now)
+    link.probe.return_value = protocol.ProbeResult(NAN, 24.0, 10.0)
+    guard = contactor.ContactorGuard(link, clock=lambda: now)
     guard.probe()
-    guard.observe_power(samples.PowerSample(10.0, payloads.Power(26.0, 24.0, 0.0, False, 0)))
-    guard.observe_tactile(samples.TactileSample(10.0, 0, 0, np.full((2, 10, 10), 2.0), True, False))
+    guard.observe_power(protocol.PowerSample(10.0, protocol.Power(26.0, 24.0, 0.0, False, 0)))
+    guard.observe_tactile(protocol.TactileSample(10.0, 0, 0, np.full((2, 10, 10), 2.0), True, False))
     guard.close("docking", 0.25, "", LIMITS)
     now = 10.2
     guard._frames.clear()
     for age, newton in ((touched, 2.0), (newest, 2.0 if newest == touched else 0.0)):
-        guard.observe_tactile(samples.TactileSample(now - age, 1, 0, np.full((2, 10, 10), newton), True, False))
+        guard.observe_tactile(protocol.TactileSample(now - age, 1, 0, np.full((2, 10, 10), newton), True, False))
     return passes(guard.close, "docking", 0.25)
 
 
@@ -625,7 +625,7 @@ def drives(low: float = 0.0, high: float = INF, stage: StageParameters | None = 
 
 
 def clears_weld(**reading: Any) -> bool:
-    return not payloads.weld_problem(payloads.Power(26.0, NAN, 0.0, False, 7)._replace(**reading))
+    return not protocol.weld_problem(protocol.Power(26.0, NAN, 0.0, False, 7)._replace(**reading))
 
 
 def finds_open(current: float = 0.0, closed: bool = False, after: float = 0.051) -> bool:
@@ -634,7 +634,7 @@ def finds_open(current: float = 0.0, closed: bool = False, after: float = 0.051)
 
 
 def test_the_emulated_board_dates_its_packets_by_an_exact_clock() -> None:
-    emulator, decoder = BoardEmulator(stage()), protocol.PacketDecoder()
+    emulator, decoder = BoardEmulator(stage()), PacketDecoder()
     packets = [packet for now in (5.0, 6.0) for packet in decoder.feed(emulator.poll(now))]
     assert [packet.device_time_us for packet in packets] == [0, 1_000_000]
 
@@ -663,11 +663,11 @@ def reads_power(**changes: float) -> bool:
         "zero": 0,
         "least": 1.0,
     } | changes
-    return passes(payloads.decode_power, struct.pack("<fffBBHf", *values.values()))
+    return passes(protocol.decode_power, struct.pack("<fffBBHf", *values.values()))
 
 
 def reads_limits(**changes: float) -> bool:
-    return passes(payloads.decode_close, payloads.encode_close(LIMITS._replace(**changes)))
+    return passes(protocol.decode_close, protocol.encode_close(LIMITS._replace(**changes)))
 
 
 BOARD = (
@@ -725,31 +725,31 @@ BOARD = (
 
 def frees(age: float = 0.0, later: float = 0.0, closed: bool = False) -> bool:
     """Return whether a report of this age frees the arm so much later."""
-    guard = motion_guard.MotionGuard()
+    guard = motion.MotionGuard()
     guard.observe(b"board", closed, False, age, 10.0)
-    return guard.state(10.0 + later, True) is motion_guard.ContactorState.OPEN
+    return guard.state(10.0 + later, True) is motion.ContactorState.OPEN
 
 
 def blocks(age: float) -> bool:
-    guard = motion_guard.MotionGuard()
+    guard = motion.MotionGuard()
     guard.observe(b"board", True, False, age, 10.0)
-    return guard.state(10.0, True) is motion_guard.ContactorState.CLOSED
+    return guard.state(10.0, True) is motion.ContactorState.CLOSED
 
 
 def follows(time: float = 1.0, angle: float = 0.0, torque: float = 1.0, points: int = 1, age: float = 0.0) -> bool:
-    limits = trajectory.JointLimits(("joint",), -1.0, 1.0, 4.0)
-    way = [trajectory.ServoWaypoint(time + number, (angle,), (torque,)) for number in range(points)]
-    return passes(trajectory.check, ("joint",), way, limits) and passes(trajectory.check_age, age)
+    limits = motion.JointLimits(("joint",), -1.0, 1.0, 4.0)
+    way = [motion.ServoWaypoint(time + number, (angle,), (torque,)) for number in range(points)]
+    return passes(motion.check, ("joint",), way, limits) and passes(motion.check_age, age)
 
 
 def measures(torque: int = 1, current: int = 0, voltage: int = 120, temperature: int = 40, watchdog: int = 6) -> bool:
     block = struct.pack("<BBhiiHBBBB", torque, 0, current, 0, 2048, voltage, temperature, watchdog, 2, 0)
-    return passes(snapshot.decode_block, block)
+    return passes(registers.decode_block, block)
 
 
 def heated(temperature: float, current: float = 3.0) -> float:
     """Return the reserve (s) of a servo that starts at this temperature (°C) with this current (A)."""
-    model = thermal.ThermalModel()
+    model = report.ThermalModel()
     model.start_at(temperature)
     model.update(current, 0.0)
     return model.reserve()
@@ -766,15 +766,17 @@ SERVOS = (
     *fields(follows, 3.99, (4.01, -0.01, NAN, INF), "torque"),
     *fields(follows, 1000, (1001,), "points"),
     *fields(follows, 0.49, (0.51, -0.51, NAN, INF), "age"),
-    Limit("order, s", lambda v: not orders.late(v), 1.99, 2.01, (NAN, INF)),
+    Limit("order, s", lambda v: not host_clock.late(v), 1.99, 2.01, (NAN, INF)),
     *fields(measures, 1, (2,), "torque"),
     *fields(measures, 2047, (2048, -2048), "current"),
     *fields(measures, 40, (39, 0), "voltage"),
     *fields(measures, 300, (301,), "voltage"),
     *fields(measures, 125, (126,), "temperature"),
     *fields(measures, 127, (128,), "watchdog"),
-    Limit("goal, turns", lambda v: passes(mx64.angle_to_ticks, v * math.tau, 0, 1), 255.9, 256.1, (NAN, INF, -INF)),
-    Limit("bound, A", lambda v: passes(mx64.current_to_counts, v), 6.5, 6.6, (NAN, INF)),
+    Limit(
+        "goal, turns", lambda v: passes(registers.angle_to_ticks, v * math.tau, 0, 1), 255.9, 256.1, (NAN, INF, -INF)
+    ),
+    Limit("bound, A", lambda v: passes(registers.current_to_counts, v), 6.5, 6.6, (NAN, INF)),
     Limit("time at 3 A, s", lambda v: heated(25.0) > v, 119.9, 120.1),
     Limit("time at 3 A from below 25 °C, s", lambda v: heated(-10.0) > v, 119.9, 120.1),
     Limit("hottest, °C", lambda v: heated(v) > 0.0, 79.9, 80.1, (INF,)),
@@ -785,7 +787,7 @@ SERVOS = (
 def test_a_goal_moves_from_the_start_of_its_trajectory() -> None:
     servo = ServoGoals(1, 0.83, 1.46)
     servo.begin_at((0.0,))
-    servo.follow(trajectory.Trajectory((1.0,), ((1.0,),), (None,)), 10.0, 10.0)
+    servo.follow(motion.Trajectory((1.0,), ((1.0,),), (None,)), 10.0, 10.0)
     servo.advance(10.5)
     assert servo.angles == (0.5,)
 
@@ -914,7 +916,7 @@ CONSTANTS: dict[str, tuple[float, float]] = {
     "MEASURE, s": (touch.MEASURE_TIMEOUT, 10.0),
     "ALIGN, s": (press.ALIGN_TIMEOUT, 45.0),
     "RETRACT, s": (retract.RETRACT_TIMEOUT, 20.0),
-    "push above the band, A": (motion._PUSH_ABOVE, 0.2),
+    "push above the band, A": (docking_motion._PUSH_ABOVE, 0.2),
     "step above the band, A": (press._STEP_ABOVE, 0.1),
     "overshoots": (press._OVERSHOOTS_MAX, 3),
     "pull, A": (release.RELEASE_CURRENT, 4.0),
@@ -937,7 +939,7 @@ def test_the_numbers_of_docking_fit_each_other() -> None:
     """What were contradictions between parameters, before these became constants."""
     lowest = DockingParameters(current_min=0.15, current_max=0.19)
     assert release.FREE_CURRENT < evidence.CONTACT_LOST_CURRENT <= lowest.current_min
-    assert lowest.current_max + press._STEP_ABOVE < motion.push_current(lowest)
+    assert lowest.current_max + press._STEP_ABOVE < docking_motion.push_current(lowest)
     assert clearance.CLEARANCE_SIGMAS < clearance.CLEARANCE_SIGMAS_SURE
     assert energy._OPENING_TIME + 0.2 < energy.OPEN_TIMEOUT  # s until charger_power shows it at the latest
     slowest = {each.name: each.low for each in declared(DockingParameters) if each.name.endswith("_speed")}
@@ -950,4 +952,4 @@ def test_the_numbers_of_docking_fit_each_other() -> None:
 def test_numbers_that_need_more_than_a_row() -> None:
     assert estimator.PoseEstimator().threshold == 0.25  # N, below which readings are noise
     assert not passes(frame_window.FrameWindow(lambda: 10.0).fresh, 1, 0.01)  # s; no frame, so no estimate
-    assert (controller.STOP_TIME, controller.OPENING_TIME) == (0.5, 0.3)  # s until torque goes off
+    assert (motion.STOP_TIME, controller.OPENING_TIME) == (0.5, 0.3)  # s until torque goes off

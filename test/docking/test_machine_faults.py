@@ -27,7 +27,7 @@ from deltacharger_docking.codes import Canceled, Code, State
 from deltacharger_docking.observation import Command, DockGoal, ElectrodePose, Observation, Reply, Request, Service
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_driver.board.protocol import BoardFault
-from deltacharger_driver.emulators.target_port import PortParameters, TargetPort
+from deltacharger_driver.emulators.power import PortParameters, TargetPort
 from deltacharger_kinematics.trajectory_feed import Waypoint
 from deltacharger_sim.parameters import TargetParameters, WorldParameters
 from deltacharger_sim.virtual.virtual_charger import GOAL, TICK, Effort, VirtualCharger

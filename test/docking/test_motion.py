@@ -20,7 +20,7 @@ from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.motion import Planner, push_current
 from deltacharger_docking.observation import DockGoal, ElectrodePose
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_driver.servos import trajectory as driver
+from deltacharger_driver.servos import motion as driver
 from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.trajectory_feed import HORIZON, PULL_HORIZON, TURN, Piece, TrajectoryFeed, Waypoint, pull
 from deltacharger_sim.parameters import TargetParameters, WorldParameters

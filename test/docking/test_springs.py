@@ -16,7 +16,7 @@ from deltacharger_docking.context import Context
 from deltacharger_docking.observation import DockGoal, ElectrodePose
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.springs import Springs
-from deltacharger_driver.servos.thermal import ThermalModel
+from deltacharger_driver.servos.report import ThermalModel
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_sim.parameters import ContactParameters, MagnetParameters, ServoParameters

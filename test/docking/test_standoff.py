@@ -19,7 +19,7 @@ from deltacharger_docking import standoff
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.context import Context
 from deltacharger_docking.observation import NAN3, DockGoal
-from deltacharger_driver.servos.mx64 import CURRENT_UNIT, TICK
+from deltacharger_driver.servos.registers import CURRENT_UNIT, TICK
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.swing import fit_swing, swing_readings
 from deltacharger_sim.parameters import CableParameters, MagnetParameters, ServoParameters, StandParameters

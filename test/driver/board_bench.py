@@ -8,10 +8,18 @@ from typing import Any
 import pytest
 
 from deltacharger_core.charge_port import ChargeLimits
-from deltacharger_driver.board.payloads import Ack, Power, decode_ack, decode_power, encode_close
-from deltacharger_driver.board.protocol import Packet, PacketDecoder, PacketType, SampleFormat, encode_packet
-from deltacharger_driver.emulators.bench_plant import BenchPlant
+from deltacharger_driver.board.protocol import (
+    Ack,
+    PacketType,
+    Power,
+    SampleFormat,
+    decode_ack,
+    decode_power,
+    encode_close,
+)
+from deltacharger_driver.emulators.bench import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
+from deltacharger_driver.packets import Packet, PacketDecoder, encode_packet
 
 STEP = 0.005
 LIMITS = ChargeLimits(current=1.0, voltage=29.4, gap_time=0.2)

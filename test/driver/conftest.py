@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 
-from deltacharger_driver.emulators.bench_arm import BenchArm
+from deltacharger_driver.emulators.bench import BenchArm
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.ports import PseudoTerminal
 from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.link import ServoLink
-from deltacharger_driver.servos.snapshot import BusSettings
+from deltacharger_driver.servos.registers import BusSettings
 
 from ..emulated_ports import board, board_port, one_cable, servo_port, servos
 from .servo_host import Host

@@ -5,12 +5,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from deltacharger_driver.emulators.bench_arm import BenchArm
+from deltacharger_driver.emulators.bench import BenchArm
+from deltacharger_driver.emulators.servo import OK
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
-from deltacharger_driver.servos.control_table import OK
-from deltacharger_driver.servos.mx64 import REGISTERS
-from deltacharger_driver.servos.packets import READ, WRITE
-from deltacharger_driver.servos.protocol import HEADER, crc16
+from deltacharger_driver.packets import HEADER, READ, WRITE, crc16
+from deltacharger_driver.servos.registers import REGISTERS
 
 
 class Host:

@@ -7,14 +7,12 @@ from collections.abc import Callable
 from typing import Any
 
 from deltacharger_core.machine import TORQUE_CONSTANT
-from deltacharger_driver.emulators.bench_arm import BenchArm
+from deltacharger_driver.emulators.bench import BenchArm
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
-from deltacharger_driver.servos.controller import ServoController
-from deltacharger_driver.servos.mx64 import WATCHDOG_TRIPPED
+from deltacharger_driver.servos.controller import ServoController, ServoRequest
+from deltacharger_driver.servos.motion import JointLimits, ServoWaypoint, check
+from deltacharger_driver.servos.registers import WATCHDOG_TRIPPED, BusSettings
 from deltacharger_driver.servos.report import ServoReport
-from deltacharger_driver.servos.requests import ServoRequest
-from deltacharger_driver.servos.snapshot import BusSettings
-from deltacharger_driver.servos.trajectory import JointLimits, ServoWaypoint, check
 
 from ..waiting import DEADLINE
 

@@ -8,8 +8,7 @@ import struct
 
 import pytest
 
-from deltacharger_driver.board.payloads import Power, decode_hello, decode_power
-from deltacharger_driver.board.protocol import PacketType
+from deltacharger_driver.board.protocol import PacketType, Power, decode_hello, decode_power
 
 from .board_bench import Bench, acks, tactile
 

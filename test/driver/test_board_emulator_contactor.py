@@ -8,10 +8,9 @@ import struct
 
 import pytest
 
-from deltacharger_driver.board.payloads import decode_power, encode_close, encode_limit
-from deltacharger_driver.board.protocol import BoardFault, Packet, PacketType
-from deltacharger_driver.emulators.stage import StageParameters
-from deltacharger_driver.emulators.target_port import PortParameters, TargetPort
+from deltacharger_driver.board.protocol import BoardFault, PacketType, decode_power, encode_close, encode_limit
+from deltacharger_driver.emulators.power import PortParameters, StageParameters, TargetPort
+from deltacharger_driver.packets import Packet
 
 from .board_bench import CLOSE, LIMITS, Bench, acks
 

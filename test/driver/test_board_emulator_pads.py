@@ -7,8 +7,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from deltacharger_driver.board.payloads import decode_samples
-from deltacharger_driver.board.protocol import PacketType, SampleFormat
+from deltacharger_driver.board.protocol import PacketType, SampleFormat, decode_samples
 
 from .board_bench import Bench, acks, tactile
 

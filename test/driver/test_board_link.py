@@ -18,17 +18,23 @@ import pytest
 import serial
 
 from deltacharger_core.charge_port import ChargeLimits
-from deltacharger_driver.board.errors import BoardMismatch, BoardRebooted, CommandRefused
 from deltacharger_driver.board.link import BoardLink
-from deltacharger_driver.board.port import BoardPort
-from deltacharger_driver.board.protocol import MINOR, BoardFault, Packet, PacketDecoder, PacketType, encode_packet
-from deltacharger_driver.board.receiver import BoardReceiver
-from deltacharger_driver.board.requests import BoardRequests
-from deltacharger_driver.board.samples import PowerSample, TactileSample
-from deltacharger_driver.emulators.bench_plant import BenchPlant
+from deltacharger_driver.board.protocol import (
+    MINOR,
+    BoardFault,
+    BoardMismatch,
+    BoardRebooted,
+    CommandRefused,
+    PacketType,
+    PowerSample,
+    TactileSample,
+)
+from deltacharger_driver.board.receiver import BoardReceiver, BoardRequests
+from deltacharger_driver.emulators.bench import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.errors import NoAnswer, PortGone
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.packets import Packet, PacketDecoder, encode_packet
+from deltacharger_driver.ports import PseudoTerminal, RawPort
 
 from ..chargers import patience
 from ..emulated_ports import Babbler
@@ -260,7 +266,7 @@ def test_a_sending_board_that_does_not_answer_is_distinguished_from_a_dead_one(r
 def test_every_kind_of_hang_up_is_one_error(
     board_port: str, monkeypatch: pytest.MonkeyPatch, hang_up: Exception | bytes
 ) -> None:
-    port = BoardPort(board_port, 1_000_000)
+    port = RawPort(board_port, 1_000_000)
     with monkeypatch.context() as patch:
         patch.setattr(os, "read", Mock(side_effect=itertools.repeat(hang_up)))  # returns or raises it
         with pytest.raises(PortGone):

@@ -15,45 +15,43 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from deltacharger_core.charge_port import ChargeLimits
-from deltacharger_driver.board import cobs, payloads
-from deltacharger_driver.board.payloads import Hello, Power
+from deltacharger_driver.board import protocol
 from deltacharger_driver.board.protocol import (
     FULL_SCALE,
-    Packet,
-    PacketDecoder,
+    Hello,
     PacketError,
     PacketType,
+    Power,
     SampleFormat,
     check_header,
-    encode_packet,
 )
-from deltacharger_driver.board.receiver import BoardReceiver
-from deltacharger_driver.board.requests import BoardRequests
+from deltacharger_driver.board.receiver import BoardReceiver, BoardRequests
+from deltacharger_driver.packets import CobsError, Packet, PacketDecoder, cobs_decode, cobs_encode, encode_packet
 
 # Made with an independent encoder (bitwise CRC, byte-by-byte COBS).
 GOLDEN = [
     (Packet(12), "0003010c01010101010101010101010101052073260700"),
     (Packet(3, b"", 5), "000401030501010101010101010101010105d0de0dd700"),
     (
-        Packet(8, payloads.encode_close(ChargeLimits(18.0, 29.4)), 0x1234),
+        Packet(8, protocol.encode_close(ChargeLimits(18.0, 29.4)), 0x1234),
         "00050108341201010101010101010101010201010101010790413333eb41010b4040cdcc4c3e9915839f00",
     ),
-    (Packet(8, payloads.encode_limit(5.0), 7), "000401080701010101010101010101010102030107a040459c409600"),
-    (Packet(7, payloads.encode_rate(60.0), 1), "000401070101010101010101010101010101010770422bc4337800"),
+    (Packet(8, protocol.encode_limit(5.0), 7), "000401080701010101010101010101010102030107a040459c409600"),
+    (Packet(7, protocol.encode_rate(60.0), 1), "000401070101010101010101010101010101010770422bc4337800"),
     (
-        Packet(2, payloads.encode_power(Power(26.5, 24.0, math.nan, True, 0)), 7, 1_500_000),
+        Packet(2, protocol.encode_power(Power(26.5, 24.0, math.nan, True, 0)), 7, 1_500_000),
         "00040102070460e3160101010101010101010103d4410103c0410104c07f010101010107c07faede622e00",
     ),
     (
-        Packet(3, payloads.encode_hello(Hello(1, 2, 10, 10, 0xDEADBEEF, 120.0, True, 29.4))),
+        Packet(3, protocol.encode_hello(Hello(1, 2, 10, 10, 0xDEADBEEF, 120.0, True, 29.4))),
         "00030103010101010101010101010101010901020a0aefbeadde0104f042010101093333eb41f838e13f00",
     ),
     (
-        Packet(10, payloads.encode_ack(payloads.Ack(11, 0, 9, payloads.encode_probe(25.5, 24.0))), 3, 2_000_000),
+        Packet(10, protocol.encode_ack(protocol.Ack(11, 0, 9, protocol.encode_probe(25.5, 24.0))), 3, 2_000_000),
         "0004010a030480841e0101010101010101020b0209010103cc410107c041e651230c00",
     ),
     (
-        Packet(10, payloads.encode_ack(payloads.Ack(8, 3, 1)), 0, 1),
+        Packet(10, protocol.encode_ack(protocol.Ack(8, 3, 1)), 0, 1),
         "0003010a010201010101010101010101010408030105d98d266700",
     ),
 ]
@@ -119,9 +117,9 @@ def test_a_flipped_bit_is_detected(packet: Packet, data: st.DataObject) -> None:
 
 def test_noise_between_packets_is_counted_by_kind() -> None:
     decoder = PacketDecoder()
-    short = cobs.encode(b"too short")
+    short = cobs_encode(b"too short")
     body = b"\1" * 16
-    wrong = cobs.encode(body + struct.pack("<I", zlib.crc32(body) ^ 1))
+    wrong = cobs_encode(body + struct.pack("<I", zlib.crc32(body) ^ 1))
     decoder.feed(b"\0" + short + b"\0" + wrong + b"\0\xff\1\0" + b"\1" * 5000 + b"\0")
     counters = decoder.counters
     assert (counters.length_errors, counters.crc_errors, counters.cobs_errors, counters.packets) == (2, 1, 1, 0)
@@ -139,10 +137,10 @@ def test_memory_is_bounded_without_a_delimiter() -> None:
 
 @pytest.mark.parametrize("at", [14, 15])
 def test_reserved_bytes_of_the_header_must_be_zero(at: int) -> None:
-    body = bytearray(cobs.decode(encode_packet(Packet(PacketType.POWER, bytes(16)))[1:-1])[:-4])
+    body = bytearray(cobs_decode(encode_packet(Packet(PacketType.POWER, bytes(16)))[1:-1])[:-4])
     body[at] = 1
     decoder = PacketDecoder()
-    assert decoder.feed(b"\0" + cobs.encode(bytes(body) + struct.pack("<I", zlib.crc32(body))) + b"\0") == []
+    assert decoder.feed(b"\0" + cobs_encode(bytes(body) + struct.pack("<I", zlib.crc32(body))) + b"\0") == []
     assert (decoder.counters.header_errors, decoder.counters.packets, decoder.counters.damaged) == (1, 0, 0)
 
 
@@ -172,8 +170,8 @@ PUBLISHED = [
 @pytest.mark.parametrize(("plain", "stuffed"), PUBLISHED)
 def test_published_examples(plain: str, stuffed: str) -> None:
     data, expected = bytes.fromhex(plain), bytes.fromhex(stuffed)
-    assert cobs.encode(data) == expected
-    assert cobs.decode(expected) == data
+    assert cobs_encode(data) == expected
+    assert cobs_decode(expected) == data
 
 
 @given(st.binary(max_size=1200))
@@ -181,9 +179,9 @@ def test_published_examples(plain: str, stuffed: str) -> None:
 @example(b"\1" * 508)
 @example(b"\1" * 254 + b"\0")
 def test_round_trip_without_zeros_and_with_bounded_overhead(data: bytes) -> None:
-    stuffed = cobs.encode(data)
+    stuffed = cobs_encode(data)
     assert 0 not in stuffed
-    assert cobs.decode(stuffed) == data
+    assert cobs_decode(stuffed) == data
     assert len(data) + 1 <= len(stuffed) + (len(data) % 254 == 0 and len(data) > 0)
     assert len(stuffed) <= len(data) + 1 + len(data) // 254
 
@@ -196,12 +194,12 @@ def test_accepted_bytes_round_trip(noise: bytes) -> None:
     while end < len(noise):  # from code to code; none is 0
         end += noise[end] or len(noise)
     if not noise or 0 in noise or end != len(noise):
-        with pytest.raises(cobs.CobsError):
-            cobs.decode(noise)
+        with pytest.raises(CobsError):
+            cobs_decode(noise)
         return
-    data = cobs.decode(noise)
+    data = cobs_decode(noise)
     assert len(data) < len(noise)
-    assert cobs.decode(cobs.encode(data)) == data
+    assert cobs_decode(cobs_encode(data)) == data
 
 
 FORMATS = [SampleFormat.U8, SampleFormat.U12, SampleFormat.U16]
@@ -211,7 +209,7 @@ def test_u12_puts_two_samples_into_three_bytes() -> None:
     left = np.full((10, 10), np.nan)
     right = np.zeros((10, 10))
     left[0, 0], left[0, 1] = 0xABC * FULL_SCALE / 4094, 0x123 * FULL_SCALE / 4094
-    payload = payloads.encode_samples(left, right, SampleFormat.U12)
+    payload = protocol.encode_samples(left, right, SampleFormat.U12)
     assert payload[:3].hex() == "bc3a12"
     assert payload[3:150] == b"\xff" * 147
     assert payload[150:] == bytes(150)
@@ -225,7 +223,7 @@ def test_samples_round_trip_within_half_a_code(sample_format: SampleFormat, seed
     pads = random.uniform(-1.0, FULL_SCALE + 1.0, (2, 10, 10))
     dead = random.random(pads.shape) < 0.1
     pads[dead] = np.nan
-    back = np.stack(payloads.decode_samples(payloads.encode_samples(pads[0], pads[1], sample_format), sample_format))
+    back = np.stack(protocol.decode_samples(protocol.encode_samples(pads[0], pads[1], sample_format), sample_format))
     assert np.array_equal(np.isnan(back), dead)
     assert np.nanmax(np.abs(back - pads.clip(0.0, FULL_SCALE))) <= FULL_SCALE / (sample_format.top - 1) / 2 + 1e-6
     assert back.dtype == np.float32
@@ -240,25 +238,25 @@ def spoiled(payload: bytes, at: int, data: bytes) -> bytes:
 
 @pytest.mark.parametrize("at", [14, 15])
 def test_reserved_bytes_of_power_must_be_zero(at: int) -> None:
-    assert payloads.decode_power(POWER).fault == 9
+    assert protocol.decode_power(POWER).fault == 9
     with pytest.raises(PacketError):
-        payloads.decode_power(spoiled(POWER, at, b"\1"))
+        protocol.decode_power(spoiled(POWER, at, b"\1"))
 
 
 def test_impossible_numbers_are_refused() -> None:
-    assert payloads.decode_probe(payloads.encode_probe(math.inf, 0.0)) == (
+    assert protocol.decode_probe(protocol.encode_probe(math.inf, 0.0)) == (
         math.inf,
         0.0,
     )  # only an open circuit is infinite
-    assert all(map(math.isnan, payloads.decode_probe(payloads.encode_probe(math.nan, math.nan))))
+    assert all(map(math.isnan, protocol.decode_probe(protocol.encode_probe(math.nan, math.nan))))
     for resistance, voltage in ((-math.inf, 0.0), (25.0, math.inf), (25.0, -math.inf), (math.inf, math.inf)):
         with pytest.raises(PacketError):
-            payloads.decode_probe(payloads.encode_probe(resistance, voltage))
+            protocol.decode_probe(protocol.encode_probe(resistance, voltage))
     for rate in (math.inf, -math.inf, math.nan, -1.0):
         with pytest.raises(PacketError):
-            payloads.decode_rate(payloads.encode_rate(rate))
+            protocol.decode_rate(protocol.encode_rate(rate))
         with pytest.raises(PacketError):
-            payloads.decode_hello(payloads.encode_hello(Hello(1, 0, 10, 10, 1, rate)))
+            protocol.decode_hello(protocol.encode_hello(Hello(1, 0, 10, 10, 1, rate)))
 
 
 def bad_packets(time: int) -> list[Packet]:
@@ -266,7 +264,7 @@ def bad_packets(time: int) -> list[Packet]:
     return [
         Packet(PacketType.POWER, spoiled(POWER, 13, b"\x0a"), 1, time),
         Packet(PacketType.POWER, POWER, 2, time, format=1),
-        Packet(PacketType.HELLO, payloads.encode_hello(Hello(1, 0, 10, 10, 99, math.inf)), 0, time),
+        Packet(PacketType.HELLO, protocol.encode_hello(Hello(1, 0, 10, 10, 99, math.inf)), 0, time),
         Packet(PacketType.ACK, b"\1", 0, time),
         Packet(PacketType.PING, bytes(65), 0, time),
         Packet(PacketType.TACTILE, bytes(200), 0, time),
@@ -276,7 +274,7 @@ def bad_packets(time: int) -> list[Packet]:
 def test_an_impossible_packet_is_only_counted() -> None:
     powers, boots = [], []
     receiver = BoardReceiver(BoardRequests(), None, powers.append, lambda: boots.append(True))
-    hello = payloads.encode_hello(Hello(1, 0, 10, 10, 7, 120.0))
+    hello = protocol.encode_hello(Hello(1, 0, 10, 10, 7, 120.0))
     receiver.take(Packet(PacketType.HELLO, hello, 0, 5_000_000), 100.0)
     for packet in bad_packets(0) + bad_packets(2**63):  # a clock that fell, which is a reboot, and one far ahead
         receiver.take(packet, 100.0)
@@ -289,14 +287,14 @@ def test_an_impossible_packet_is_only_counted() -> None:
 
 def test_payloads_of_the_wrong_length_or_format_are_refused() -> None:
     for decode in (
-        payloads.decode_power,
-        payloads.decode_hello,
-        payloads.decode_ack,
-        payloads.decode_probe,
-        payloads.decode_rate,
+        protocol.decode_power,
+        protocol.decode_hello,
+        protocol.decode_ack,
+        protocol.decode_probe,
+        protocol.decode_rate,
     ):
         with pytest.raises(PacketError):
             decode(b"\1\2")
     for length, sample_format in ((300, 1), (299, 2), (200, 3), (200, 0), (200, 9)):
         with pytest.raises(PacketError):
-            payloads.decode_samples(bytes(length), sample_format)
+            protocol.decode_samples(bytes(length), sample_format)

@@ -12,14 +12,20 @@ import numpy as np
 import pytest
 
 from deltacharger_core.charge_port import ChargeLimits
-from deltacharger_driver.board.contactor_guard import ContactorGuard
-from deltacharger_driver.board.contactor_lease import ContactorLease, LeaseRefused
-from deltacharger_driver.board.errors import CommandRefused
-from deltacharger_driver.board.payloads import Power, decode_probe, encode_close, encode_limit
-from deltacharger_driver.board.protocol import BoardFault, PacketType
-from deltacharger_driver.board.receiver import BoardReceiver
-from deltacharger_driver.board.requests import BoardRequests
-from deltacharger_driver.board.samples import PowerSample, ProbeResult, TactileSample
+from deltacharger_driver.board.contactor import ContactorGuard, ContactorLease, LeaseRefused
+from deltacharger_driver.board.protocol import (
+    BoardFault,
+    CommandRefused,
+    PacketType,
+    Power,
+    PowerSample,
+    ProbeResult,
+    TactileSample,
+    decode_probe,
+    encode_close,
+    encode_limit,
+)
+from deltacharger_driver.board.receiver import BoardReceiver, BoardRequests
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.errors import NoAnswer
 

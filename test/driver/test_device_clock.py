@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deltacharger_driver.board.device_clock import DeviceClock, SequenceUnwrapper
-from deltacharger_driver.rate_meter import Lateness, RateMeter
+from deltacharger_core.real_time import Lateness, RateMeter
+from deltacharger_driver.board.receiver import DeviceClock, SequenceUnwrapper
 
 from .virtual_line import Clock
 

@@ -11,16 +11,15 @@ from typing import Any
 import pytest
 
 from deltacharger_core.machine import JOINT_MAX, JOINT_MIN, JOINT_SPEED, TICKS_PER_TURN
-from deltacharger_driver.emulators.bench_arm import BenchArm
+from deltacharger_driver.emulators.bench import BenchArm
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.errors import ServoFault, TrajectoryRefused
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.ports import PseudoTerminal
 from deltacharger_driver.servos.controller import ServoController
-from deltacharger_driver.servos.mx64 import TICK
-from deltacharger_driver.servos.port import ServoPort
+from deltacharger_driver.servos.link import ServoPort
+from deltacharger_driver.servos.motion import JointLimits, ServoWaypoint, check
+from deltacharger_driver.servos.registers import TICK, BusSettings
 from deltacharger_driver.servos.report import ServoPhase
-from deltacharger_driver.servos.snapshot import BusSettings
-from deltacharger_driver.servos.trajectory import JointLimits, ServoWaypoint, check
 
 from ..marks import night
 from .servo_rig import DEFAULT, NAMES

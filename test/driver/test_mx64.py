@@ -8,16 +8,17 @@ import math
 import pytest
 
 from deltacharger_core.machine import POSITION_P_GAIN, SERVO_STIFFNESS, STIFFNESS_PER_GAIN
+from deltacharger_driver import ports
 from deltacharger_driver.errors import RangeError
-from deltacharger_driver.servos import mx64
-from deltacharger_driver.servos.mx64 import REGISTERS, TICK
-from deltacharger_driver.servos.thermal import ThermalModel, reserve
+from deltacharger_driver.servos import registers
+from deltacharger_driver.servos.registers import REGISTERS, TICK
+from deltacharger_driver.servos.report import ThermalModel, reserve
 
 
 def test_no_two_registers_overlap() -> None:
     taken: dict[int, str] = {}
-    blocks = {f"indirect address {n}": (mx64.indirect_address(n), 2) for n in range(56)}
-    blocks |= {f"indirect data {n}": (mx64.indirect_data(n), 1) for n in range(56)}
+    blocks = {f"indirect address {n}": (registers.indirect_address(n), 2) for n in range(56)}
+    blocks |= {f"indirect data {n}": (registers.indirect_data(n), 1) for n in range(56)}
     blocks |= {name: (register.address, register.size) for name, register in REGISTERS.items()}
     for name, (address, size) in blocks.items():
         for place in range(address, address + size):
@@ -26,7 +27,7 @@ def test_no_two_registers_overlap() -> None:
 
 
 def test_the_speeds_are_those_of_the_vendors_table() -> None:
-    assert mx64.SPEEDS == {0: 9600, 1: 57600, 2: 115200, 3: 1_000_000, 4: 2_000_000, 5: 3_000_000, 6: 4_000_000}
+    assert ports.SPEEDS == {0: 9600, 1: 57600, 2: 115200, 3: 1_000_000, 4: 2_000_000, 5: 3_000_000, 6: 4_000_000}
 
 
 def test_the_vendors_figures_give_the_assumed_stiffness() -> None:
@@ -39,22 +40,22 @@ def test_the_vendors_figures_give_the_assumed_stiffness() -> None:
 @pytest.mark.parametrize("zero", [0, 2048, -511, 4095])
 def test_every_tick_survives_the_round_trip(direction: int, zero: int) -> None:
     for ticks in range(-8192, 8193, 37):
-        angle = mx64.ticks_to_angle(ticks, zero, direction)
-        assert mx64.angle_to_ticks(angle, zero, direction) == ticks
+        angle = registers.ticks_to_angle(ticks, zero, direction)
+        assert registers.angle_to_ticks(angle, zero, direction) == ticks
 
 
 def test_angle_convention() -> None:
-    assert mx64.ticks_to_angle(2048, 2048, 1) == 0.0
-    assert mx64.ticks_to_angle(3072, 2048, 1) == pytest.approx(math.pi / 2)
-    assert mx64.ticks_to_angle(3072, 2048, -1) == pytest.approx(-math.pi / 2)
-    assert abs(mx64.ticks_to_angle(mx64.angle_to_ticks(0.3, 2048, 1), 2048, 1) - 0.3) <= TICK / 2
+    assert registers.ticks_to_angle(2048, 2048, 1) == 0.0
+    assert registers.ticks_to_angle(3072, 2048, 1) == pytest.approx(math.pi / 2)
+    assert registers.ticks_to_angle(3072, 2048, -1) == pytest.approx(-math.pi / 2)
+    assert abs(registers.ticks_to_angle(registers.angle_to_ticks(0.3, 2048, 1), 2048, 1) - 0.3) <= TICK / 2
 
 
 def test_a_bound_is_never_rounded_up() -> None:
     for tenth_milliampere in range(0, 42_000, 7):
         current = tenth_milliampere * 1e-4
-        assert mx64.current_to_counts(current) * mx64.CURRENT_UNIT <= current + 1e-9
-        assert mx64.current_to_counts(-current) == -mx64.current_to_counts(current)
+        assert registers.current_to_counts(current) * registers.CURRENT_UNIT <= current + 1e-9
+        assert registers.current_to_counts(-current) == -registers.current_to_counts(current)
 
 
 def test_registers_refuse_too_large_numbers() -> None:

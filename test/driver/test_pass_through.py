@@ -21,17 +21,17 @@ from std_srvs.srv import SetBool
 from deltacharger_core import runtime
 from deltacharger_core.charge_port import ChargeLimits
 from deltacharger_core.environment import domain
-from deltacharger_driver.board.protocol import LONGEST_SERVO, Packet, PacketDecoder, PacketType, encode_packet
+from deltacharger_driver.board.protocol import LONGEST_SERVO, PacketType
 from deltacharger_driver.board.tactile_node import TactileNode
-from deltacharger_driver.emulators.bench_arm import BenchArm
-from deltacharger_driver.emulators.bench_plant import BenchPlant
+from deltacharger_driver.emulators.bench import BenchArm, BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
-from deltacharger_driver.serial_open import open_serial
+from deltacharger_driver.packets import Packet, PacketDecoder, encode_packet
+from deltacharger_driver.ports import open_serial
 from deltacharger_driver.servos import servo_node
 from deltacharger_driver.servos.bus import ServoBus
+from deltacharger_driver.servos.registers import BusSettings
 from deltacharger_driver.servos.servo_node import ServoNode
-from deltacharger_driver.servos.snapshot import BusSettings
 from deltacharger_ros.node_support import StartupError
 
 from ..behind_board import BehindEmulator

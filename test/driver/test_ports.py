@@ -16,30 +16,19 @@ import numpy as np
 import pytest
 import serial
 
-from deltacharger_driver import serial_open as serial_open_module
+from deltacharger_driver import ports
 from deltacharger_driver.board.link import BoardLink
-from deltacharger_driver.board.port import BoardPort
-from deltacharger_driver.board.protocol import Packet, PacketType, encode_packet
-from deltacharger_driver.emulators.bench_arm import BenchArm
-from deltacharger_driver.emulators.bench_plant import BenchPlant
-from deltacharger_driver.emulators.pads import EmulatedPads
-from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
-from deltacharger_driver.errors import (
-    PortBusy,
-    PortDenied,
-    PortError,
-    PortMissing,
-    PortNotSerial,
-    WrongDevice,
-)
+from deltacharger_driver.board.protocol import PacketType
+from deltacharger_driver.emulators.bench import BenchArm, BenchPlant
+from deltacharger_driver.emulators.board import EmulatedPads
+from deltacharger_driver.emulators.servo_bus import ServoBusEmulator, status
+from deltacharger_driver.errors import PortBusy, PortDenied, PortError, PortMissing, PortNotSerial, WrongDevice
+from deltacharger_driver.packets import Packet, encode_packet
 from deltacharger_driver.port_identity import SERVO_SPEEDS, find_servos, identify
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
-from deltacharger_driver.serial_open import open_serial
+from deltacharger_driver.ports import SPEEDS, PseudoTerminal, RawPort, open_serial
 from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.link import ServoLink
-from deltacharger_driver.servos.mx64 import SPEEDS
-from deltacharger_driver.servos.packets import status
-from deltacharger_driver.servos.snapshot import BusSettings
+from deltacharger_driver.servos.registers import BusSettings
 from deltacharger_sim.pads.source import ContactSource
 
 from ..emulated_ports import Babbler, written
@@ -103,7 +92,7 @@ def test_programs_that_ask_for_no_lock_cannot_open_a_port_either(
     """Root can. A pseudo-terminal would stay closed after its holder was killed."""
     with open_serial(board_port, 115200) as line:
         assert not is_exclusive(line)
-    monkeypatch.setattr(serial_open_module, "_PSEUDO_TERMINALS", ())
+    monkeypatch.setattr(ports, "_PSEUDO_TERMINALS", ())
     with open_serial(board_port, 115200) as line:
         assert is_exclusive(line)
         fcntl.ioctl(line.fileno(), termios.TIOCNXCL)
@@ -268,6 +257,6 @@ def test_replies_among_noise_are_found_and_damaged_ones_are_not() -> None:
     damaged = bytearray(status(9, 0, bytes((0x37, 0x01, 45))))
     damaged[10] ^= 4
     noise = b"\xff\xff\xfd" + good[:9] + b"\x17" + bytes(damaged) + good + b"\xff\xff\xfd\0"
-    with PseudoTerminal(Babbler(noise)) as terminal, contextlib.closing(BoardPort(terminal.path, 1_000_000)) as port:
+    with PseudoTerminal(Babbler(noise)) as terminal, contextlib.closing(RawPort(terminal.path, 1_000_000)) as port:
         found = find_servos(port, (1_000_000,), ids=())
     assert [(s.servo, s.model, s.firmware) for s in found] == [(7, 311, 45)]

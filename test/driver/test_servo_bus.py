@@ -8,14 +8,12 @@ from typing import Any
 
 import pytest
 
-from deltacharger_driver.emulators.bench_arm import BenchArm
+from deltacharger_driver.emulators.bench import BenchArm
+from deltacharger_driver.emulators.servo import OK, ControlTable
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.errors import DriverError, HandshakeError, NoAnswer, PortGone, RangeError, ServoFault
-from deltacharger_driver.servos.bus import ServoBus
-from deltacharger_driver.servos.control_table import OK, ControlTable
-from deltacharger_driver.servos.mx64 import CURRENT_UNIT, REGISTERS, TICK
-from deltacharger_driver.servos.setup import MOTION
-from deltacharger_driver.servos.snapshot import GAINS, WATCHDOG, BusSettings
+from deltacharger_driver.servos.bus import MOTION, ServoBus
+from deltacharger_driver.servos.registers import CURRENT_UNIT, GAINS, REGISTERS, TICK, WATCHDOG, BusSettings
 
 from .servo_rig import BOUND, OVERLOAD, START
 

@@ -11,10 +11,9 @@ import pytest
 from deltacharger_core.machine import POSITION_P_GAIN, TORQUE_CONSTANT
 from deltacharger_driver.errors import TrajectoryRefused
 from deltacharger_driver.servos.controller import OPENING_TIME
-from deltacharger_driver.servos.joint_watch import STOP_TIME
-from deltacharger_driver.servos.mx64 import CURRENT_UNIT, TICK
+from deltacharger_driver.servos.motion import STOP_TIME
+from deltacharger_driver.servos.registers import CURRENT_UNIT, TICK, WATCHDOG
 from deltacharger_driver.servos.report import ServoPhase, ServoReport
-from deltacharger_driver.servos.snapshot import WATCHDOG
 
 from ..waiting import host
 from .servo_rig import DEFAULT, OVERLOAD, START, Rig

@@ -6,10 +6,10 @@ from __future__ import annotations
 import pytest
 
 from deltacharger_core.machine import POSITION_D_GAIN, POSITION_P_GAIN, SERVO_STIFFNESS
-from deltacharger_driver.servos import control_table as table
-from deltacharger_driver.servos.control_table import LIMIT, OK
-from deltacharger_driver.servos.mx64 import CURRENT_UNIT, REGISTERS, TICK, indirect_address, indirect_data
-from deltacharger_driver.servos.packets import ACTION, BROADCAST, PING, READ, REG_WRITE, SYNC_READ, WRITE
+from deltacharger_driver.emulators import servo as table
+from deltacharger_driver.emulators.servo import LIMIT, OK
+from deltacharger_driver.packets import ACTION, BROADCAST, PING, READ, REG_WRITE, SYNC_READ, WRITE
+from deltacharger_driver.servos.registers import CURRENT_UNIT, REGISTERS, TICK, indirect_address, indirect_data
 
 from .servo_host import Host, parse, words
 

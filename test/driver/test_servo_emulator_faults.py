@@ -12,12 +12,12 @@ from typing import Any
 import pytest
 
 from deltacharger_core.machine import TORQUE_CONSTANT
-from deltacharger_driver.emulators.servo_faults import collide
+from deltacharger_driver.emulators.servo import OK, RANGE, RESULT_FAIL
+from deltacharger_driver.emulators.servo_bus import collide
 from deltacharger_driver.errors import DriverError
-from deltacharger_driver.servos.control_table import OK, RANGE, RESULT_FAIL
-from deltacharger_driver.servos.diagnostics import RefusedTrajectories, bus_entry
-from deltacharger_driver.servos.mx64 import REGISTERS, indirect_address, indirect_data
-from deltacharger_driver.servos.packets import BROADCAST, PING, READ, REBOOT, SYNC_READ, SYNC_WRITE, WRITE
+from deltacharger_driver.packets import BROADCAST, PING, READ, REBOOT, SYNC_READ, SYNC_WRITE, WRITE
+from deltacharger_driver.servos.controller import RefusedTrajectories, bus_entry
+from deltacharger_driver.servos.registers import REGISTERS, indirect_address, indirect_data
 from deltacharger_driver.servos.report import ServoPhase, ServoReport
 from deltacharger_sim.charger.faults import Fault, Faults, Hardware
 

@@ -26,11 +26,11 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from deltacharger_core.machine import JOINTS
-from deltacharger_driver.emulators.bench_arm import BenchArm
+from deltacharger_driver.emulators.bench import BenchArm
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
-from deltacharger_driver.servos.motion_guard import ContactorState
-from deltacharger_driver.servos.mx64 import TICK
+from deltacharger_driver.ports import PseudoTerminal
+from deltacharger_driver.servos.motion import ContactorState
+from deltacharger_driver.servos.registers import TICK
 from deltacharger_driver.servos.servo_node import ServoNode
 from deltacharger_ros.executor import Spinner
 from deltacharger_ros.node_support import StartupError

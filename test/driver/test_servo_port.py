@@ -18,16 +18,13 @@ from unittest.mock import Mock
 import pytest
 from dynamixel_sdk import PortHandler, Protocol2PacketHandler
 
-from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
+from deltacharger_driver.emulators.servo_bus import ServoBusEmulator, status
 from deltacharger_driver.errors import CorruptReply, DriverError, NoAnswer, PortGone, RangeError, WrongThread
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
-from deltacharger_driver.servos.bus import UNKNOWN_AFTER, ServoBus
-from deltacharger_driver.servos.link import ServoLink
-from deltacharger_driver.servos.mx64 import REGISTERS
-from deltacharger_driver.servos.packets import status
-from deltacharger_driver.servos.port import ServoPort
-from deltacharger_driver.servos.protocol import ServoProtocol, crc16, instruction_packet, sync_write_packet
-from deltacharger_driver.servos.snapshot import READ_LENGTH, BusSettings, BusSnapshot, decode_block, has_restarted
+from deltacharger_driver.packets import crc16, instruction_packet, sync_write_packet
+from deltacharger_driver.ports import PseudoTerminal
+from deltacharger_driver.servos.bus import UNKNOWN_AFTER, BusSnapshot, ServoBus
+from deltacharger_driver.servos.link import ServoLink, ServoPort, ServoProtocol
+from deltacharger_driver.servos.registers import READ_LENGTH, REGISTERS, BusSettings, decode_block, has_restarted
 
 POSITION = REGISTERS["present_position"].address
 SPARE = 650  # indirect data that nothing maps: plain memory

@@ -9,7 +9,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import pytest
 
-from deltacharger_driver.board.shared_call import SharedCall
+from deltacharger_driver.board.contactor import SharedCall
 
 from ..waiting import DEADLINE, wait_until
 

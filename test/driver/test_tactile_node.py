@@ -27,9 +27,9 @@ from std_srvs.srv import Trigger
 from deltacharger_driver.board import tactile_node
 from deltacharger_driver.board.protocol import BoardFault
 from deltacharger_driver.board.tactile_node import TactileNode
-from deltacharger_driver.emulators.bench_plant import BenchPlant
+from deltacharger_driver.emulators.bench import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.ports import PseudoTerminal
 from deltacharger_ros.executor import Spinner
 from deltacharger_ros.node_support import StartupError
 

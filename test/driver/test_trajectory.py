@@ -7,9 +7,17 @@ import math
 
 import pytest
 
+from deltacharger_core.host_clock import AHEAD
 from deltacharger_driver.errors import DriverError, TrajectoryRefused
-from deltacharger_driver.servos.motion_guard import AHEAD, FRESH, ContactorState, MotionGuard, Sender
-from deltacharger_driver.servos.trajectory import JointLimits, ServoWaypoint, check
+from deltacharger_driver.servos.motion import (
+    FRESH,
+    ContactorState,
+    JointLimits,
+    MotionGuard,
+    Sender,
+    ServoWaypoint,
+    check,
+)
 
 NAMES = ("a", "b", "c")
 LIMITS = JointLimits(NAMES, -1.0, 1.2, 4.0)

@@ -18,12 +18,10 @@ from rclpy.time import Time
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from deltacharger_core.machine import JOINTS
-from deltacharger_driver.servos import servo_node_io, trajectory_node_io
-from deltacharger_driver.servos.motion_guard import ContactorState, MotionGuard
-from deltacharger_driver.servos.mx64 import TICK
-from deltacharger_driver.servos.servo_node_io import ContactorClient
-from deltacharger_driver.servos.trajectory import JointLimits
-from deltacharger_driver.servos.trajectory_node_io import TrajectoryInbox
+from deltacharger_driver.servos import servo_node
+from deltacharger_driver.servos.motion import ContactorState, JointLimits, MotionGuard
+from deltacharger_driver.servos.registers import TICK
+from deltacharger_driver.servos.servo_node import ContactorClient, TrajectoryInbox
 from deltacharger_ros.on_demand import Received
 
 from .servo_rig import START, Rig
@@ -51,8 +49,7 @@ def node(clock: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
     stamps = ROSClock()
     stamps._set_ros_time_is_active(True)
     monkeypatch.setattr(stamps, "now", lambda: Time(seconds=clock()))
-    for module in (servo_node_io, trajectory_node_io):
-        monkeypatch.setattr(module, "BoundedTopic", lambda *arguments: Topic())
+    monkeypatch.setattr(servo_node, "BoundedTopic", lambda *arguments: Topic())
     requests: list[Any] = []
     client = SimpleNamespace(service_is_ready=lambda: True, call_async=requests.append)
     return SimpleNamespace(

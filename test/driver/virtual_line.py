@@ -7,8 +7,8 @@ import time
 from typing import ClassVar
 
 from deltacharger_driver.errors import PortGone, PortMissing
-from deltacharger_driver.pseudo_terminal import ByteDevice
-from deltacharger_driver.servos.port import ServoPort
+from deltacharger_driver.ports import ByteDevice
+from deltacharger_driver.servos.link import ServoPort
 
 
 class Clock:

@@ -6,8 +6,16 @@ from __future__ import annotations
 from pathlib import Path
 
 from deltacharger_core.charge_port import ChargeLimits
-from deltacharger_driver.board.payloads import Ack, Power, decode_ack, decode_power, encode_close, encode_limit
-from deltacharger_driver.board.protocol import Packet, PacketDecoder, PacketType, encode_packet
+from deltacharger_driver.board.protocol import (
+    Ack,
+    PacketType,
+    Power,
+    decode_ack,
+    decode_power,
+    encode_close,
+    encode_limit,
+)
+from deltacharger_driver.packets import Packet, PacketDecoder, encode_packet
 
 from .board_host import BoardHost
 

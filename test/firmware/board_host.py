@@ -15,10 +15,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from deltacharger_core.machine import COLUMNS, ROWS
-from deltacharger_driver.board import cobs
 from deltacharger_driver.board.protocol import SampleFormat
-from deltacharger_driver.emulators.stage import StageReading
-from deltacharger_driver.emulators.wire_faults import WireFaults
+from deltacharger_driver.emulators.board import WireFaults
+from deltacharger_driver.emulators.power import StageReading
+from deltacharger_driver.packets import cobs_decode
 
 from ..borrowed import anew, borrowed_tests
 
@@ -268,7 +268,7 @@ class FirmwareBoard:
     def _damaged(self, data: bytes) -> bytes:
         """Apply the wire's faults packet by packet; the firmware sends complete ones."""
         pieces = [piece for piece in data.split(b"\0") if piece]
-        return b"".join(self.faults.apply(b"\0" + piece + b"\0", cobs.decode(piece)[1]) for piece in pieces)
+        return b"".join(self.faults.apply(b"\0" + piece + b"\0", cobs_decode(piece)[1]) for piece in pieces)
 
 
 def on_firmware(name: str, without: set[str] | None = None, mark: Any = None) -> dict[str, object]:

@@ -7,7 +7,7 @@ import struct
 import subprocess
 from pathlib import Path
 
-from deltacharger_driver.board.protocol import Packet
+from deltacharger_driver.packets import Packet
 
 _HEAD = struct.Struct("<cI")
 _SIZE = struct.Struct("<I")

@@ -13,7 +13,10 @@ import numpy.typing as npt
 import pytest
 
 from deltacharger_core.charge_port import ChargeLimits
-from deltacharger_driver.board.payloads import (
+from deltacharger_driver.board.protocol import (
+    FLAG_TARED,
+    BoardFault,
+    PacketType,
     decode_ack,
     decode_hello,
     decode_power,
@@ -21,9 +24,9 @@ from deltacharger_driver.board.payloads import (
     encode_close,
     encode_limit,
 )
-from deltacharger_driver.board.protocol import FLAG_TARED, BoardFault, Packet, PacketDecoder, PacketType, encode_packet
-from deltacharger_driver.emulators.bench_plant import BenchPlant
+from deltacharger_driver.emulators.bench import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
+from deltacharger_driver.packets import Packet, PacketDecoder, encode_packet
 
 from ..marks import night, rest
 from .board_host import FirmwareBoard, FirmwarePlant

@@ -14,12 +14,15 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from deltacharger_driver.board import cobs
-from deltacharger_driver.board.payloads import (
+from deltacharger_driver.board.protocol import (
+    FULL_SCALE,
     LIMITS,
     Ack,
     Hello,
+    PacketError,
+    PacketType,
     Power,
+    SampleFormat,
     decode_close,
     decode_limit,
     decode_samples,
@@ -28,15 +31,7 @@ from deltacharger_driver.board.payloads import (
     encode_power,
     encode_samples,
 )
-from deltacharger_driver.board.protocol import (
-    FULL_SCALE,
-    Packet,
-    PacketDecoder,
-    PacketError,
-    PacketType,
-    SampleFormat,
-    encode_packet,
-)
+from deltacharger_driver.packets import CobsError, Packet, PacketDecoder, cobs_decode, cobs_encode, encode_packet
 
 from ..marks import night
 from .codec_process import CodecProcess
@@ -53,9 +48,9 @@ def codec(core: Path) -> Iterator[CodecProcess]:
 
 def with_reserved(packet: Packet, reserved: int) -> bytes:
     """Bytes on the wire of a packet whose header ends with `reserved`, with a valid checksum."""
-    body = bytearray(cobs.decode(encode_packet(packet)[1:-1])[:-4])
+    body = bytearray(cobs_decode(encode_packet(packet)[1:-1])[:-4])
     body[14:16] = struct.pack("<H", reserved)
-    return b"\0" + cobs.encode(bytes(body) + struct.pack("<I", zlib.crc32(body))) + b"\0"
+    return b"\0" + cobs_encode(bytes(body) + struct.pack("<I", zlib.crc32(body))) + b"\0"
 
 
 def assert_same(codec: CodecProcess, chunks: list[bytes]) -> list[Packet]:
@@ -156,8 +151,8 @@ def test_limits_are_decoded_and_refused_identically(
 @example(b"\xff" + b"\7" * 254 + b"\1")
 def test_cobs_is_decoded_identically(codec: CodecProcess, stuffed: bytes) -> None:
     try:
-        expected = b"\1" + cobs.decode(stuffed)
-    except cobs.CobsError:
+        expected = b"\1" + cobs_decode(stuffed)
+    except CobsError:
         expected = b"\0"
     assert codec.ask("u", stuffed) == expected
 
@@ -187,7 +182,7 @@ def test_another_major_version_and_reserved_bytes_are_dropped_and_counted(
 
 @pytest.mark.parametrize("length", [1022, 1023, 1024, 1025, 5000])
 def test_pieces_up_to_the_longest_are_decoded_and_longer_ones_counted(codec: CodecProcess, length: int) -> None:
-    piece = cobs.encode(bytes(1 + index % 255 for index in range(length)))[:length]
+    piece = cobs_encode(bytes(1 + index % 255 for index in range(length)))[:length]
     stream = b"\0" + piece + b"\0" + encode_packet(NEXT)
     assert assert_same(codec, [stream]) == assert_same(codec, [bytes([byte]) for byte in stream])
 

@@ -10,9 +10,16 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from deltacharger_driver.board import payloads
-from deltacharger_driver.board.payloads import decode_hello, decode_samples, encode_close, encode_limit
-from deltacharger_driver.board.protocol import FLAG_TARED, AckError, PacketType
+from deltacharger_driver.board import protocol
+from deltacharger_driver.board.protocol import (
+    FLAG_TARED,
+    AckError,
+    PacketType,
+    decode_hello,
+    decode_samples,
+    encode_close,
+    encode_limit,
+)
 
 from ..marks import night
 from .bench import LIMITS, MS, Bench, acks, tactile
@@ -91,7 +98,7 @@ def bad_contactor() -> Iterator[bytes]:
     good = encode_close(LIMITS)
     yield from (b"", b"\1", b"\3", b"\4", b"\0\0", good[:-1], good + b"\0", b"\0" + good[1:], b"\3" + good[1:])
     yield from (b"\1\2" + good[2:], b"\1\0\1" + good[3:], b"\1\0\0\1" + good[4:], b"\2" + encode_limit(5.0)[1:])
-    for name, (low, high) in payloads.LIMITS.items():
+    for name, (low, high) in protocol.LIMITS.items():
         for value in (math.nan, math.inf, -1.0, 0.99 * low, 1.01 * high):
             yield encode_close(LIMITS._replace(**{name: value}))
     for current in (math.nan, math.inf, -1.0, 0.0, 30.1):

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from deltacharger_driver.board.link import BoardLink
-from deltacharger_driver.board.samples import TactileSample
+from deltacharger_driver.board.protocol import TactileSample
 
 from ..waiting import wait_until
 

@@ -9,8 +9,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from deltacharger_driver.board.payloads import decode_hello
-from deltacharger_driver.board.protocol import FLAG_OVERRUN, Packet, PacketType
+from deltacharger_driver.board.protocol import FLAG_OVERRUN, PacketType, decode_hello
+from deltacharger_driver.packets import Packet
 
 from ..marks import night
 from .bench import MS, Bench, S, acks, tactile

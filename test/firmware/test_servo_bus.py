@@ -10,8 +10,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from deltacharger_driver.board.payloads import decode_hello
-from deltacharger_driver.board.protocol import LONGEST_SERVO, AckError, BoardFault, Packet, PacketType, encode_packet
+from deltacharger_driver.board.protocol import LONGEST_SERVO, AckError, BoardFault, PacketType, decode_hello
+from deltacharger_driver.packets import Packet, encode_packet
 
 from .bench import MS, Bench, acks, tactile
 

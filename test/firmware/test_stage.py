@@ -8,8 +8,7 @@ from collections.abc import Callable
 
 import pytest
 
-from deltacharger_driver.board.payloads import decode_power
-from deltacharger_driver.board.protocol import AckError, BoardFault, PacketType
+from deltacharger_driver.board.protocol import AckError, BoardFault, PacketType, decode_power
 
 from .bench import LIMITS, MS, STRONG, Bench, S
 

@@ -11,7 +11,9 @@ import pytest
 
 from deltacharger_core.charge_port import ChargeLimits
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_driver.board.payloads import (
+from deltacharger_driver.board.protocol import (
+    AckError,
+    PacketType,
     Power,
     decode_ack,
     decode_power,
@@ -19,8 +21,8 @@ from deltacharger_driver.board.payloads import (
     encode_close,
     encode_limit,
 )
-from deltacharger_driver.board.protocol import AckError, Packet, PacketDecoder, PacketType, encode_packet
-from deltacharger_driver.emulators.stage import Outputs, StageParameters
+from deltacharger_driver.emulators.power import Outputs, StageParameters
+from deltacharger_driver.packets import Packet, PacketDecoder, encode_packet
 from deltacharger_sim.circuit import Circuit
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.target_rows import ROWS

@@ -14,7 +14,7 @@ from rclpy.node import Node
 from deltacharger_core.charge_port import ChargeLimits, Port, port_of
 from deltacharger_core.machine import DOCK_DISTANCE, GRAVITY, SERVO_STIFFNESS, TORQUE_CONSTANT
 from deltacharger_core.rotation import rotation
-from deltacharger_driver.board.contactor_lease import LeaseRefused
+from deltacharger_driver.board.contactor import LeaseRefused
 from deltacharger_driver.board.protocol import BoardFault
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_scenes.mocks.arm import MockArm

@@ -19,7 +19,7 @@ from rclpy.qos import QoSProfile
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from deltacharger_core.machine import JOINTS
-from deltacharger_driver.servos.motion_guard import ContactorState
+from deltacharger_driver.servos.motion import ContactorState
 from deltacharger_ros.messages import CODES
 from deltacharger_scenes.mocks.mock_servo_node import MockServoNode
 from deltacharger_scenes.scene import Scene, parse_scene

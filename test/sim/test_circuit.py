@@ -10,8 +10,7 @@ import pytest
 
 from deltacharger_core.charge_port import Port, port_of
 from deltacharger_core.machine import BATTERY_MAX, BATTERY_MIN
-from deltacharger_driver.emulators.stage import Outputs, StageParameters
-from deltacharger_driver.emulators.target_port import PortParameters
+from deltacharger_driver.emulators.power import Outputs, PortParameters, StageParameters
 from deltacharger_sim.bars import Bars
 from deltacharger_sim.circuit import Circuit
 from deltacharger_sim.clearance import Overlap

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from deltacharger_driver.servos.packets import PING
+from deltacharger_driver.packets import PING
 from deltacharger_sim.charger.fault_channel import ControlServer, Registration, answer, ask
 from deltacharger_sim.charger.fault_kinds import KINDS, Hardware
 from deltacharger_sim.charger.faults import Faults

@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 import serial
 
-from deltacharger_driver.servos.packets import PING
+from deltacharger_driver.packets import PING
 from deltacharger_scenes.scene import parse_scene
 from deltacharger_sim.charger.fault_kinds import KINDS, FaultOrder, Hardware
 from deltacharger_sim.charger.simulated_charger import SimulatedCharger

@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 
 from deltacharger_core.machine import POSITION_D_GAIN, POSITION_P_GAIN
+from deltacharger_driver.emulators.power import Outputs, PortParameters
+from deltacharger_driver.emulators.servo import OK
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
-from deltacharger_driver.emulators.stage import Outputs
-from deltacharger_driver.emulators.target_port import PortParameters
-from deltacharger_driver.servos.control_table import OK
-from deltacharger_driver.servos.mx64 import CURRENT_UNIT, REGISTERS, TICK
+from deltacharger_driver.servos.registers import CURRENT_UNIT, REGISTERS, TICK
 from deltacharger_sim.parameters import (
     MagnetParameters,
     TargetParameters,

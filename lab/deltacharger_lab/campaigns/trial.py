@@ -22,7 +22,7 @@ from deltacharger_docking.observation import (
     Request,
     Service,
 )
-from deltacharger_driver.emulators.stage import Outputs
+from deltacharger_driver.emulators.power import Outputs
 from deltacharger_lab.campaigns.faults import Acting, HostileFault, Reading, ServoOrder
 from deltacharger_lab.campaigns.hostile import GOAL, SCENES, SUSPENDED, TIMED, allowed, draw_faults
 from deltacharger_lab.campaigns.judge import BY_HAND, GRACE, GRACE_STALLED, WorldJudge, broken

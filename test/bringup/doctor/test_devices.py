@@ -17,17 +17,15 @@ from deltacharger_bringup.doctor import board as examiner
 from deltacharger_bringup.doctor.findings import Finding
 from deltacharger_bringup.doctor.ports import examine_port
 from deltacharger_bringup.doctor.servos import examine_servos, set_baud
+from deltacharger_driver import ports
 from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.board.protocol import BoardFault
-from deltacharger_driver.emulators.bench_arm import BenchArm
-from deltacharger_driver.emulators.bench_plant import BenchPlant
+from deltacharger_driver.emulators.bench import BenchArm, BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.port_identity import SERVO_SPEEDS
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
-from deltacharger_driver.serial_open import holders
-from deltacharger_driver.servos import port
-from deltacharger_driver.servos.mx64 import WATCHDOG_TRIPPED
+from deltacharger_driver.ports import PseudoTerminal, holders
+from deltacharger_driver.servos.registers import WATCHDOG_TRIPPED
 
 from ...emulated_ports import IDS, written
 
@@ -161,7 +159,7 @@ def test_a_port_of_something_else_is_wrong(
 def test_healthy_servos_are_ok_and_nothing_is_written(
     servos: ServoBusEmulator, servo_port: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(port, "USB_LATENCY", 0.016)  # s, the usual adapter's; this computer's threads are as slow
+    monkeypatch.setattr(ports, "USB_LATENCY", 0.016)  # s, the usual adapter's; this computer's threads are as slow
     before = written(servos)
     found = servo_findings(servo_port)
     assert {finding.level for finding in found} == {"ok"}
@@ -267,6 +265,6 @@ def test_a_free_port_is_ok_and_a_forbidden_one_names_the_group(
 
 
 def test_an_adapter_that_delays_bytes_gives_a_hint(monkeypatch: pytest.MonkeyPatch, silent_port: str) -> None:
-    monkeypatch.setattr("deltacharger_driver.servos.port.latency_timer", lambda port: 16e-3)
+    monkeypatch.setattr("deltacharger_driver.ports.latency_timer", lambda port: 16e-3)
     found = list(examine_port("servo port", silent_port))
     named(found, ("hint", "servo port", "16 ms"), ("hint", "servo port", "99-deltacharger.rules"))

@@ -11,9 +11,8 @@ import pytest
 
 from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.errors import DriverError
-from deltacharger_driver.servos.bus import ServoBus
+from deltacharger_driver.servos.bus import ServoBus, set_up
 from deltacharger_driver.servos.link import ServoLink
-from deltacharger_driver.servos.setup import set_up
 
 from ...firmware.build import host_programs
 from ...marks import rest

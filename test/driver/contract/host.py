@@ -5,10 +5,9 @@ from __future__ import annotations
 
 import time
 
-from deltacharger_driver.board.contactor_guard import ContactorGuard
+from deltacharger_driver.board.contactor import ContactorGuard
 from deltacharger_driver.board.link import BoardLink
-from deltacharger_driver.board.protocol import DEFAULT_RATE
-from deltacharger_driver.board.samples import PowerSample, TactileSample
+from deltacharger_driver.board.protocol import DEFAULT_RATE, PowerSample, TactileSample
 
 from ...waiting import wait_until
 

@@ -13,13 +13,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from deltacharger_driver.emulators.bench_arm import BenchArm
-from deltacharger_driver.emulators.bench_plant import BenchPlant
+from deltacharger_driver.emulators.bench import BenchArm, BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
-from deltacharger_driver.servos.port import REPLY_MARGIN
-from deltacharger_driver.servos.snapshot import BusSettings
+from deltacharger_driver.parameters import REPLY_MARGIN
+from deltacharger_driver.ports import PseudoTerminal
+from deltacharger_driver.servos.registers import BusSettings
 
 LARGEST_CURRENT = 3.0  # A, servo_node's default
 DEAD_TAXEL = (0, 3, 4)  # pad, row, column of the one that every emulated board has

@@ -12,9 +12,15 @@ import numpy as np
 import pytest
 
 from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, ROWS
-from deltacharger_driver.board.errors import CommandRefused
-from deltacharger_driver.board.protocol import FULL_SCALE, POWER_RATE, VERSION, AckError, BoardFault
-from deltacharger_driver.board.samples import TactileSample
+from deltacharger_driver.board.protocol import (
+    FULL_SCALE,
+    POWER_RATE,
+    AckError,
+    BoardFault,
+    CommandRefused,
+    TactileSample,
+)
+from deltacharger_driver.packets import VERSION
 from deltacharger_driver.port_identity import identify
 
 from ...waiting import wait_until

@@ -10,10 +10,10 @@ from collections.abc import Iterator
 
 import pytest
 
-from deltacharger_driver.board import cobs, protocol
-from deltacharger_driver.board.payloads import Ack, decode_ack, encode_rate
-from deltacharger_driver.board.port import BoardPort
-from deltacharger_driver.board.protocol import AckError, Packet, PacketDecoder, PacketType, encode_packet
+from deltacharger_driver.board import protocol
+from deltacharger_driver.board.protocol import Ack, AckError, PacketType, decode_ack, encode_rate
+from deltacharger_driver.packets import Packet, PacketDecoder, cobs_decode, cobs_encode, encode_packet
+from deltacharger_driver.ports import RawPort
 
 from .sites import BoardSite
 
@@ -32,7 +32,7 @@ class Wire:
     """A port without a driver on it."""
 
     def __init__(self, path: str) -> None:
-        self.port = BoardPort(path, 1_000_000)
+        self.port = RawPort(path, 1_000_000)
         self._decoder = PacketDecoder()
         self._numbers = itertools.count()
         self._packets: list[Packet] = []  # received but not checked yet
@@ -92,9 +92,9 @@ def test_a_command_with_a_wrong_payload_is_refused(wire: Wire) -> None:
 
 def test_another_version_and_reserved_bytes_that_are_not_zero_get_no_answer(wire: Wire) -> None:
     assert wire.is_silent_on(encode_packet(Packet(PacketType.HELLO), version=protocol.VERSION + 1))
-    packet = cobs.decode(STOP.strip(b"\0"))
+    packet = cobs_decode(STOP.strip(b"\0"))
     body = packet[:14] + b"\1\0" + packet[16:-4]
-    assert wire.is_silent_on(b"\0" + cobs.encode(body + zlib.crc32(body).to_bytes(4, "little")) + b"\0")
+    assert wire.is_silent_on(b"\0" + cobs_encode(body + zlib.crc32(body).to_bytes(4, "little")) + b"\0")
 
 
 def test_pings_return_their_bytes(wire: Wire) -> None:

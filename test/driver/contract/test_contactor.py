@@ -9,9 +9,15 @@ from collections.abc import Iterator
 import pytest
 
 from deltacharger_core.charge_port import ChargeLimits
-from deltacharger_driver.board.errors import CommandRefused
-from deltacharger_driver.board.payloads import probe_problem
-from deltacharger_driver.board.protocol import HEARTBEAT_TIMEOUT, POWER_RATE, PROBE_LIFETIME, AckError, BoardFault
+from deltacharger_core.machine import PROBE_LIFETIME
+from deltacharger_driver.board.protocol import (
+    HEARTBEAT_TIMEOUT,
+    POWER_RATE,
+    AckError,
+    BoardFault,
+    CommandRefused,
+    probe_problem,
+)
 
 from ...chargers import patience
 from ...waiting import host as within

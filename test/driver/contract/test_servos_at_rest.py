@@ -13,13 +13,10 @@ import pytest
 from deltacharger_core.machine import POSITION_D_GAIN, POSITION_P_GAIN
 from deltacharger_driver.errors import DriverError, ServoFault
 from deltacharger_driver.port_identity import identify
-from deltacharger_driver.servos import mx64
-from deltacharger_driver.servos import snapshot as block
-from deltacharger_driver.servos.bus import ServoBus
+from deltacharger_driver.servos import registers
+from deltacharger_driver.servos.bus import MOTION, BusSnapshot, ServoBus, configure, restart_watchdog
 from deltacharger_driver.servos.link import ServoLink
-from deltacharger_driver.servos.mx64 import REGISTERS
-from deltacharger_driver.servos.setup import MOTION, configure, restart_watchdog
-from deltacharger_driver.servos.snapshot import BusSettings, BusSnapshot, has_restarted
+from deltacharger_driver.servos.registers import REGISTERS, BusSettings, has_restarted
 
 from ...marks import rest
 from ...waiting import wait_until
@@ -45,7 +42,7 @@ def test_the_port_is_identified_as_the_three_servos(servo_site: ServoSite) -> No
 
 def test_each_servo_is_an_mx_64_with_protocol_2(link: ServoLink, servo_site: ServoSite) -> None:
     for servo in servo_site.settings.ids:
-        assert link.ping(servo, attempts=2) == link.read(servo, "model") == mx64.MODEL
+        assert link.ping(servo, attempts=2) == link.read(servo, "model") == registers.MODEL
         assert link.read(servo, "firmware") >= OLDEST_FIRMWARE
         assert link.read(servo, "id") == servo
 
@@ -54,15 +51,15 @@ def test_the_configuration_is_in_the_registers(link: ServoLink, servo_site: Serv
     for servo in servo_site.settings.ids:
         assert {name: link.read(servo, name) for name in SET_UP} == SET_UP, f"servo {servo}"
         assert link.read(servo, "bus_watchdog") in (
-            block.WATCHDOG,
-            mx64.WATCHDOG_TRIPPED,
+            registers.WATCHDOG,
+            registers.WATCHDOG_TRIPPED,
         )  # a pause of this computer trips it
 
 
 def test_the_block_of_the_cycle_matches_the_registers(link: ServoLink, servo_site: ServoSite) -> None:
     for servo in servo_site.settings.ids:
-        data = link.read_bytes(servo, block.READ_ADDRESS, block.READ_LENGTH)
-        for name in block.READ_BLOCK:
+        data = link.read_bytes(servo, registers.READ_ADDRESS, registers.READ_LENGTH)
+        for name in registers.READ_BLOCK:
             size = REGISTERS[name].size
             in_block, data = REGISTERS[name].from_bytes(data[:size]), data[size:]
             difference = abs(in_block - link.read(servo, name))
@@ -75,7 +72,7 @@ def test_goals_written_to_the_block_of_the_cycle_reach_their_registers(link: Ser
         restart_watchdog(link, servo)  # a tripped one would lock them
     current, position = REGISTERS["goal_current"], REGISTERS["goal_position"]
     for servo, (amount, ticks) in goals.items():
-        link.write_bytes(servo, block.WRITE_ADDRESS, current.to_bytes(amount) + position.to_bytes(ticks))
+        link.write_bytes(servo, registers.WRITE_ADDRESS, current.to_bytes(amount) + position.to_bytes(ticks))
     found = {servo: (link.read(servo, "goal_current"), link.read(servo, "goal_position")) for servo in goals}
     assert found == goals
 
@@ -107,9 +104,9 @@ def check_values(snapshot: BusSnapshot, settings: BusSettings) -> None:
     for index, servo in enumerate(settings.ids):
         about = f"servo {servo}: {snapshot}"
         assert -math.pi <= snapshot.angle[index] <= math.pi, about
-        assert abs(snapshot.velocity[index]) <= REGISTERS["velocity_limit"].high * mx64.VELOCITY_UNIT, about
-        assert abs(snapshot.current[index]) <= JITTER["present_current"] * mx64.CURRENT_UNIT, about
-        low, high = (REGISTERS[name].default * mx64.VOLTAGE_UNIT for name in ("min_voltage", "max_voltage"))
+        assert abs(snapshot.velocity[index]) <= REGISTERS["velocity_limit"].high * registers.VELOCITY_UNIT, about
+        assert abs(snapshot.current[index]) <= JITTER["present_current"] * registers.CURRENT_UNIT, about
+        low, high = (REGISTERS[name].default * registers.VOLTAGE_UNIT for name in ("min_voltage", "max_voltage"))
         assert low <= snapshot.voltage[index] <= high, about
         assert 0.0 <= snapshot.temperature[index] < REGISTERS["temperature_limit"].default, about
         assert snapshot.hardware_error[index] == 0, about
@@ -138,14 +135,14 @@ def test_a_restart_loses_the_configuration_but_keeps_eeprom(link: ServoLink, ser
 
     def back() -> bool:
         try:
-            return link.ping(servo) == mx64.MODEL
+            return link.ping(servo) == registers.MODEL
         except DriverError:
             return False
 
     wait_until(back, f"servo {servo} to come back from its restart")
-    assert has_restarted(link.read_bytes(servo, block.READ_ADDRESS, block.READ_LENGTH))
+    assert has_restarted(link.read_bytes(servo, registers.READ_ADDRESS, registers.READ_LENGTH))
     assert (link.read(servo, "torque_enable"), link.read(servo, "bus_watchdog")) == (0, 0)
-    assert link.read(servo, "operating_mode") == mx64.MODE_CURRENT_POSITION
+    assert link.read(servo, "operating_mode") == registers.MODE_CURRENT_POSITION
     assert link.read(servo, "position_p_gain") == REGISTERS["position_p_gain"].default
     configure(link, servo, settings)
     assert {name: link.read(servo, name) for name in SET_UP} == SET_UP

@@ -12,11 +12,10 @@ import pytest
 
 from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_driver.errors import DriverError, ServoFault
-from deltacharger_driver.servos.bus import ServoBus
+from deltacharger_driver.servos.bus import BusSnapshot, ServoBus
 from deltacharger_driver.servos.controller import ServoController
 from deltacharger_driver.servos.link import ServoLink
-from deltacharger_driver.servos.mx64 import WATCHDOG_UNIT
-from deltacharger_driver.servos.snapshot import WATCHDOG, BusSnapshot
+from deltacharger_driver.servos.registers import WATCHDOG, WATCHDOG_UNIT
 
 from ...waiting import wait_until
 from .sites import ServoSite

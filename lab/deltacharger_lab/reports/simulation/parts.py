@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from deltacharger_driver.emulators.target_port import PortParameters
+from deltacharger_driver.emulators.power import PortParameters
 from deltacharger_lab.reports.simulation.models import complete_docking
 from deltacharger_lab.reports.simulation.plan import SimulationPlan
 from deltacharger_lab.reports.simulation.scenes import LIGHT, Arm

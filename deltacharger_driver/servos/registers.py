@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The MX-64 servo with Protocol 2.0 firmware (model 311): its registers as data, its units as pure functions.
+"""The servos' registers as data, their units as pure functions, and the blocks that are exchanged in a cycle.
 
 Addresses, sizes, defaults and units are from the vendor's e-manual for MX-64(2.0).
 """
@@ -7,10 +7,24 @@ Addresses, sizes, defaults and units are from the vendor's e-manual for MX-64(2.
 from __future__ import annotations
 
 import math
+import struct
 from dataclasses import dataclass
+from typing import NamedTuple
 
-from deltacharger_core.machine import EXTENDED_TICKS, GAIN_MAX, TICKS_PER_TURN
-from deltacharger_driver.errors import RangeError
+from deltacharger_core.machine import (
+    BAUD_RATE,
+    EXTENDED_TICKS,
+    GAIN_MAX,
+    JOINT_MAX,
+    JOINT_MIN,
+    POSITION_D_GAIN,
+    POSITION_P_GAIN,
+    SERVO_IDS,
+    STALL_CURRENT,
+    TICKS_PER_TURN,
+)
+from deltacharger_driver.errors import DriverError, RangeError
+from deltacharger_driver.parameters import REPLY_MARGIN
 
 MODEL = 311
 """Model number of an MX-64 with Protocol 2.0 firmware."""
@@ -25,9 +39,6 @@ WATCHDOG_UNIT = 0.02  # s
 WATCHDOG_TRIPPED = 255  # −1 in one byte
 
 MODE_POSITION, MODE_EXTENDED, MODE_CURRENT_POSITION = 3, 4, 5
-
-SPEEDS = {0: 9600, 1: 57600, 2: 115200, 3: 1_000_000, 4: 2_000_000, 5: 3_000_000, 6: 4_000_000}
-"""Value of the baud register → bit/s; 7 (4.5 M) is not a standard speed of Linux."""
 
 HARDWARE_ERRORS = {0: "input voltage", 2: "overheating", 3: "encoder", 4: "electrical shock", 5: "overload"}
 """Bit of register hardware_error → its meaning; only a reboot clears it. Register shutdown has the same bits."""
@@ -44,6 +55,40 @@ STATUS_ERRORS = {
 """Error number of a status packet → its meaning."""
 ALERT = 0x80
 """Bit of the same byte: a hardware error is latched."""
+INDIRECT_COUNT = 56
+
+WATCHDOG = 13
+"""Bus watchdog, units of 20 ms: a servo that receives nothing for 260 ms stops on its own, which ends its push. Longer
+than the contactor's lease: a stall that the lease outlives does not end a charge. A silent bus moves no goal."""
+CONSTANT_BLOCK = {"status_return_level": 2, "registered": 0}
+"""Registers of known value, read last. The checksum follows the data low byte first, so it may miss a burst error
+across the last data byte and the checksum; such an error then changes one of these."""
+READ_BLOCK = (
+    "torque_enable",
+    "hardware_error",
+    "present_current",
+    "present_velocity",
+    "present_position",
+    "input_voltage",
+    "temperature",
+    "bus_watchdog",
+    *CONSTANT_BLOCK,
+)
+"""Registers read in a cycle, made contiguous by indirect addresses: 64, 70, 126, 128, 132, 144, 146, 98, 68, 69."""
+GAINS = ("position_p_gain", "position_i_gain", "position_d_gain")
+"""Registers of the position loop, written at every set-up."""
+WRITE_BLOCK = ("goal_current", "goal_position")
+"""Registers written in a cycle, behind the read block, so that bound and goal change together."""
+
+HOTTEST = 125
+"""°C; beyond it the servo's electronics would not answer."""
+CURRENT_SPAN = 2047
+"""Range of the servo's current sensor, in counts of 3.36 mA, of either sign."""
+LOWEST_VOLTAGE, HIGHEST_VOLTAGE = 40, 300
+"""Units of 0.1 V: below, a servo does not run; the battery before its regulator never exceeds the upper value."""
+LONGEST_WATCHDOG = 127
+_BEYOND = 0.09  # rad beyond the joint limits
+_READ_LAYOUT = struct.Struct("<BBhiiHBBBB")
 
 
 @dataclass(frozen=True)
@@ -157,7 +202,6 @@ REGISTERS: dict[str, Register] = {
 
 LARGEST_CURRENT = REGISTERS["current_limit"].high * CURRENT_UNIT
 """A, the largest that the registers accept."""
-INDIRECT_COUNT = 56
 
 
 def indirect_address(slot: int) -> int:
@@ -229,3 +273,109 @@ def describe_status_error(code: int) -> str:
     if code & ALERT:
         text = f"{text}, hardware error latched" if text else "hardware error latched"
     return text
+
+
+READ_LENGTH = sum(REGISTERS[name].size for name in READ_BLOCK)
+WRITE_LENGTH = sum(REGISTERS[name].size for name in WRITE_BLOCK)
+READ_ADDRESS = indirect_data(0)
+WRITE_ADDRESS = indirect_data(READ_LENGTH)
+
+
+@dataclass(frozen=True)
+class BusSettings:
+    """Wiring and mounting of the arm's servos.
+
+    Attributes:
+        port: path of the serial port.
+        baud_rate: bit/s.
+        ids: of the servos of limbs 0, 1, 2.
+        zero_ticks: encoder count at angle 0, per servo.
+        direction: per servo, +1 if the count rises with the angle, −1 if it falls.
+        watchdog: units of 20 ms, 1–6.
+        reply_margin: s, see `parameters.REPLY_MARGIN`.
+        current_max: largest current bound of any goal, A. A servo with a lower current limit would ignore the whole
+            goal, so the set-up refuses it.
+        gains: P, I and D of the position loop, as in the registers. They are in RAM and lost at a restart.
+        joint_min, joint_max: range of the arms' angles, rad.
+    """
+
+    port: str
+    baud_rate: int = BAUD_RATE
+    ids: tuple[int, ...] = SERVO_IDS
+    zero_ticks: tuple[int, ...] = (2048, 2048, 2048)
+    direction: tuple[int, ...] = (1, 1, 1)
+    watchdog: int = WATCHDOG
+    reply_margin: float = REPLY_MARGIN
+    current_max: float = STALL_CURRENT
+    gains: tuple[int, int, int] = (POSITION_P_GAIN, 0, POSITION_D_GAIN)
+    joint_min: float = JOINT_MIN
+    joint_max: float = JOINT_MAX
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """Range of angles (rad) in which an arm can be, pushed by hand or flying off magnets."""
+        return self.joint_min - _BEYOND, self.joint_max + _BEYOND
+
+    def __post_init__(self) -> None:
+        count = len(self.ids)
+        if not count == len(set(self.ids)) == len(self.zero_ticks) == len(self.direction):
+            raise DriverError(
+                f"ids {self.ids}, zero_ticks {self.zero_ticks} and direction {self.direction} must have one value per "
+                "servo, and no id twice"
+            )
+        if any(sign not in (1, -1) for sign in self.direction):
+            raise DriverError(f"direction {self.direction}: each value is 1 or -1")
+        if not 1 <= self.watchdog <= WATCHDOG:
+            raise RangeError("watchdog", self.watchdog, 1, WATCHDOG, " × 20 ms")
+        if not 0.0 <= self.current_max <= LARGEST_CURRENT:
+            raise RangeError("current_max", self.current_max, 0.0, LARGEST_CURRENT, " A")
+        for name, gain in zip(GAINS, self.gains, strict=True):
+            register = REGISTERS[name]
+            if not register.low <= gain <= register.high:
+                raise RangeError(name, gain, register.low, register.high)
+
+
+class Reading(NamedTuple):
+    """One servo's read block, in register units; every value is plausible."""
+
+    torque_enabled: bool
+    hardware_error: int
+    current: int
+    velocity: int
+    ticks: int
+    voltage: int
+    temperature: int
+    watchdog: int
+
+
+def has_restarted(data: bytes) -> bool:
+    """Return whether a read block is from a servo that lost its configuration. Its indirect registers then point to
+    themselves and read 0, even the status return level, which is 2 in any servo that answers.
+    """
+    return not any(data)
+
+
+def decode_block(data: bytes) -> Reading:
+    """Read the `READ_LENGTH` bytes of a read block.
+
+    Raises:
+        RangeError: names the first impossible value; the whole block must be discarded.
+        struct.error: another length.
+    """
+    torque, error, current, velocity, ticks, voltage, temperature, watchdog, *constants = _READ_LAYOUT.unpack(data)
+    for (name, expected), found in zip(CONSTANT_BLOCK.items(), constants, strict=True):
+        if found != expected:
+            raise RangeError(name, found, expected, expected)
+    if torque > 1:
+        raise RangeError("torque_enable", torque, 0, 1)
+    if not -CURRENT_SPAN <= current <= CURRENT_SPAN:
+        span = CURRENT_SPAN * CURRENT_UNIT
+        raise RangeError("present_current", current * CURRENT_UNIT, -span, span, " A")
+    if not LOWEST_VOLTAGE <= voltage <= HIGHEST_VOLTAGE:
+        low, high = LOWEST_VOLTAGE * VOLTAGE_UNIT, HIGHEST_VOLTAGE * VOLTAGE_UNIT
+        raise RangeError("input_voltage", voltage * VOLTAGE_UNIT, low, high, " V")
+    if temperature > HOTTEST:
+        raise RangeError("temperature", temperature, 0, HOTTEST, " °C")
+    if LONGEST_WATCHDOG < watchdog < WATCHDOG_TRIPPED:
+        raise RangeError("bus_watchdog", watchdog, 0, LONGEST_WATCHDOG)
+    return Reading(bool(torque), error, current, velocity, ticks, voltage, temperature, watchdog)

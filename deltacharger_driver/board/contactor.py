@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Controls the contactor: combines the lease with the board's reports. No ROS; tactile_node wraps it.
+"""Who keeps the contactor closed: the lease, its guard, and a probe that concurrent callers share. No ROS.
 
 Energy never depends on a live host. The guard relays a live lease as the board's heartbeat and never sends a heartbeat
 without one. Both have the same deadline, so the heartbeat stops in time even if the guard hangs.
@@ -8,28 +8,295 @@ without one. Both have the same deadline, so the heartbeat stops in time even if
 from __future__ import annotations
 
 import contextlib
+import hmac
 import math
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from typing import Generic, Protocol, TypeVar
 
 from deltacharger_core.charge_port import ChargeLimits
-from deltacharger_core.machine import CONTACT_FORCE, LONGEST_LEASE
-from deltacharger_driver.board.contactor_lease import ContactorLease, LeaseRefused
-from deltacharger_driver.board.errors import CommandRefused
-from deltacharger_driver.board.link import BoardLink
-from deltacharger_driver.board.payloads import weld_problem
-from deltacharger_driver.board.protocol import AckError, BoardFault, clearing, fault_name
-from deltacharger_driver.board.samples import PowerSample, ProbeResult, TactileSample
-from deltacharger_driver.board.shared_call import SharedCall
+from deltacharger_core.machine import CONTACT_FORCE, LONGEST_LEASE, PROBE_LIFETIME
+from deltacharger_driver.board.protocol import (
+    LIMITS,
+    AckError,
+    BoardFault,
+    CommandRefused,
+    PowerSample,
+    ProbeResult,
+    TactileSample,
+    clearing,
+    fault_name,
+    limits_problem,
+    probe_problem,
+    weld_problem,
+)
 from deltacharger_driver.errors import DriverError, NoAnswer
+
+Result = TypeVar("Result")
+
+_REFUSAL = 0.05  # s from the start of a call until its error is raised: limits the cost of repeated calls
+_LATER = 16  # later callers that may reuse one result
+LONGEST_NAME = 64
+"""Largest length of a holder's name and of its token."""
 
 STALE_FRAME = 0.1  # s; a frame sampled longer ago does not show contact now; during a lease, LONGEST_LEASE
 STALE_POWER = 0.5  # s
 _PROBE_SHARED = 0.05  # s for which a probe that several callers awaited is reused
 _FRAMES = 32  # kept; at the highest rate 20 arrive within STALE_FRAME
 _CONFIRM_TIME = 0.3  # s to see the contactor open after the board accepted the command
+
+
+class SharedCall(Generic[Result]):
+    """Calls an action for any number of threads, never twice at a time. Thread-safe.
+
+    A caller that arrives while it runs waits for that result or error. Whatever the number of callers, each waits
+    at most for the running call and one more.
+
+    Args:
+        action: what is called; takes a moment.
+        lasts: s for which later callers reuse a result that several callers awaited. Without it, each caller queued
+            for a thread would cost its own call.
+        clock: s.
+    """
+
+    def __init__(self, action: Callable[[], Result], lasts: float, clock: Callable[[], float] = time.monotonic) -> None:
+        self._action = action
+        self._lasts = lasts
+        self._clock = clock
+        self._changed = threading.Condition()
+        self._running: _Run[Result] | None = None
+        self._last: _Run[Result] | None = None  # the last success, if several callers awaited it
+        self._priority = 0  # number of blocks that wait to enter before the next call
+
+    def __call__(self) -> Result:
+        """Return the action's result, or raise its error."""
+        with self._changed:
+            run = self._running
+            last = self._last
+            if run is None and last and last.later < _LATER and self._clock() - last.ended < self._lasts:
+                last.later += 1
+                return last.outcome()
+            if run is None:
+                self._changed.wait_for(lambda: not self._priority or self._running)
+                run = self._running
+            begins = run is None
+            if run is None:
+                run = self._running = _Run(self._clock())
+            run.callers += 1
+        if begins:
+            self._call(run)
+        run.done.wait()
+        if run.error is not None:
+            time.sleep(max(run.began + _REFUSAL - self._clock(), 0.0))
+        return run.outcome()
+
+    def forget(self) -> None:
+        """Discard the last result for later callers."""
+        with self._changed:
+            self._last = None
+
+    def _call(self, run: _Run[Result]) -> None:
+        try:
+            run.result = self._action()
+        except BaseException as error:
+            run.error = error
+        finally:
+            run.ended = self._clock()
+            with self._changed:
+                self._running = None
+                self._last = run if run.callers > 1 and run.error is None else None
+                self._changed.notify_all()
+            run.done.set()
+
+    def __enter__(self) -> None:
+        """Wait until the action is idle and block new calls until the exit."""
+        with self._changed:
+            self._priority += 1
+            self._changed.wait_for(lambda: self._running is None)
+
+    def __exit__(self, *exception: object) -> None:
+        """Allow calls again."""
+        with self._changed:
+            self._priority -= 1
+            self._changed.notify_all()
+
+
+class _Run(Generic[Result]):
+    """One call: its waiting and later callers, its outcome, and its start and end (s)."""
+
+    def __init__(self, began: float) -> None:
+        self.done = threading.Event()
+        self.result: Result | None = None
+        self.error: BaseException | None = None
+        self.callers = self.later = 0
+        self.began, self.ended = began, 0.0
+
+    def outcome(self) -> Result:
+        """Return the result or raise the error."""
+        if self.error is not None:
+            raise self.error
+        return self.result  # type: ignore[return-value]
+
+
+class LeaseRefused(DriverError, PermissionError):
+    """A close or a renewal is refused. Example: another node holds the contactor."""
+
+
+class ContactorLease:
+    """The lease that keeps the contactor closed, and the probe that allows it.
+
+    A close is a lease of at most 0.25 s that its holder renews. A lapsed lease means that the holder is dead or hangs;
+    the contactor must then be opened before any other request is served. Every opening, whatever its cause, ends the
+    lease and voids the probe. So each close follows a look at the port that it closes on. Its limits bind until the
+    opening; a renewal may change the current.
+
+    Not thread-safe: its owner calls it under one lock.
+
+    Attributes:
+        holder: name of the holder; '' if there is none.
+        until: s; end of the lease unless renewed.
+        openings: number of openings; compare it before and after a wait to detect one.
+        renewals: number of renewals.
+        lapses: number of leases that ran out; kept by the owner, which then opens the contactor.
+        resistance: ohm, result of the last probe, even if void; NaN before the first, and of a live port.
+        target_voltage: V, result of the last probe.
+    """
+
+    def __init__(self) -> None:
+        self.holder = ""
+        self.until = -math.inf
+        self.openings = 0
+        self.renewals = 0
+        self.lapses = 0
+        self.resistance = math.nan
+        self.target_voltage = math.nan
+        self._probed_at = -math.inf
+        self._token = ""
+
+    def is_live(self, now: float) -> bool:
+        """Return whether the lease is held at `now` (s)."""
+        return bool(self.holder) and now < self.until
+
+    def has_lapsed(self, now: float) -> bool:
+        """Return whether a lease ran out without an opening since: open the contactor, then call `opened`."""
+        return bool(self.holder) and now >= self.until
+
+    def remaining(self, now: float) -> float:
+        """Return the seconds until the lease lapses; 0 if it has, inf without a lease."""
+        return max(self.until - now, 0.0) if self.holder else math.inf
+
+    def probed(self, resistance: float, target_voltage: float, now: float) -> None:
+        """Record a probe's result (ohm, V) at `now`."""
+        self.resistance = resistance
+        self.target_voltage = target_voltage
+        self._probed_at = now
+
+    def probe_age(self, now: float) -> float:
+        """Return the age of the last valid probe, s; inf = none, or voided by an opening."""
+        return now - self._probed_at
+
+    def check(
+        self, holder: str, duration: float, now: float, token: str = "", limits: ChargeLimits | None = None
+    ) -> None:
+        """Raise the errors of `take` without changing anything.
+
+        Raises:
+            LeaseRefused: no name; name or token too long; duration not positive; lapsed and not yet opened; held by
+                another holder or with another token; for a new lease, no valid limits, or no probe younger than 2 s
+                that allows a close within them; for a renewal, a current out of range.
+        """
+        for what, text in (("holder", holder), ("token", token)):
+            if len(text) > LONGEST_NAME:
+                raise LeaseRefused(f"the {what} has {len(text)} characters; give at most {LONGEST_NAME}")
+        if not holder:
+            raise LeaseRefused("the holder has no name; set 'holder', which is reported to other clients")
+        if not duration > 0.0:  # also NaN
+            raise LeaseRefused(f"lease of {duration:g} s: not positive; request up to {LONGEST_LEASE} s and renew it")
+        if self.has_lapsed(now):
+            raise LeaseRefused(f"the lease of '{self.holder}' lapsed and the contactor is not open yet; retry")
+        if self.is_live(now):
+            if holder != self.holder or not self._is_known(token):
+                raise LeaseRefused(f"'{self.holder}' holds the contactor for another {self.remaining(now):.2f} s")
+            low, high = LIMITS["current"]
+            current = 0.0 if limits is None else limits.current
+            if current != 0.0 and not low <= current <= high:  # also NaN
+                raise LeaseRefused(f"current is {current:g}: give {low:g} to {high:g}, or 0 to leave it")
+            return
+        if limits is None:
+            raise LeaseRefused("a close needs limits of current and voltage: give current_max and voltage_max")
+        if problem := limits_problem(limits):
+            raise LeaseRefused(f"a close needs limits: {problem}")
+        self._check_probe(now, limits.dead)
+
+    def _is_known(self, token: str) -> bool:
+        """Return whether `token` is the lease's own; for a lease without token, the name suffices."""
+        return not self._token or hmac.compare_digest(token.encode(), self._token.encode())
+
+    def _check_probe(self, now: float, dead: bool) -> None:
+        age = self.probe_age(now)
+        if not age < PROBE_LIFETIME:
+            state = "there is none since the last opening" if math.isinf(age) else f"it is {age:.1f} s old"
+            raise LeaseRefused(f"a close needs a probe younger than {PROBE_LIFETIME:g} s, but {state}; call probe")
+        problem = probe_problem(self.resistance, self.target_voltage, dead)
+        if problem:
+            raise LeaseRefused(problem)
+
+    def take(
+        self, holder: str, duration: float, now: float, token: str = "", limits: ChargeLimits | None = None
+    ) -> float:
+        """Grant or renew the lease.
+
+        Args:
+            holder: name of the client.
+            duration: s; limited to 0.25.
+            now: s.
+            token: the holder's secret; a lease begun with a token is renewed only with it.
+            limits: of the closing; a renewal uses only the current, 0 = unchanged.
+
+        Returns:
+            End of the lease, s.
+
+        Raises:
+            LeaseRefused: as in `check`.
+        """
+        self.check(holder, duration, now, token, limits)
+        renewal = self.is_live(now)
+        self.renewals += renewal
+        self.holder = holder
+        self._token = self._token if renewal else token
+        self.until = now + min(duration, LONGEST_LEASE)
+        return self.until
+
+    def opened(self) -> None:
+        """Record an opening, whatever its cause: the lease ends and the probe is void."""
+        self.holder = self._token = ""
+        self.until = -math.inf
+        self._probed_at = -math.inf
+        self.openings += 1
+
+
+class ContactorLink(Protocol):
+    """What a guard needs of a `BoardLink`; each command raises `DriverError` if the board refuses or is not there."""
+
+    def keep_alive(self, until: float) -> None:
+        """Send heartbeats until `until`, s."""
+
+    def stop_heartbeat(self) -> None:
+        """Send no further heartbeat."""
+
+    def contactor(self, close: bool, limits: ChargeLimits | None = None) -> None:
+        """Close within limits, or open."""
+
+    def limit_current(self, current: float) -> None:
+        """Change the largest current (A) of a closed contactor."""
+
+    def clear_weld(self) -> None:
+        """Clear a latched weld."""
+
+    def probe(self) -> ProbeResult:
+        """Look at the port between the electrodes."""
 
 
 class ContactorGuard:
@@ -50,7 +317,7 @@ class ContactorGuard:
 
     def __init__(
         self,
-        link: BoardLink,
+        link: ContactorLink,
         on_lease: Callable[[], None] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
