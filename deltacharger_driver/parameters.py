@@ -36,6 +36,8 @@ computer bytes also wait for tactile_node."""
 
 SERVOS_FOLLOW = {name: name for name in ("torque_constant", "position_p_gain", "position_i_gain", "position_d_gain")}
 """Parameters of servo_node that a file of measured servos sets, and their names in that file."""
+OF_TYPE = (*SERVOS_FOLLOW, "current_bound", "current_max")
+"""Parameters of servo_node that go with the type of the servos where nobody sets them; the defaults are the MX-64's."""
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from deltacharger_core.machine import BAUD_RATE, SERVO_IDS
+from deltacharger_core.servo_types import model_name
 from deltacharger_driver.board.protocol import POWER_RATE, Hello, PacketError, PacketType, decode_hello, is_from_board
 from deltacharger_driver.packets import (
     BROADCAST,
@@ -25,7 +26,6 @@ from deltacharger_driver.packets import (
     instruction_packet,
 )
 from deltacharger_driver.ports import SPEEDS, RawPort, latency_timer
-from deltacharger_driver.servos.registers import MODEL, MODEL_PROTOCOL_1
 
 SERVO_SPEEDS = (BAUD_RATE, 57600, *(speed for speed in SPEEDS.values() if speed not in (BAUD_RATE, 57600)))
 """Every speed of a servo, the likely ones first, bit/s."""
@@ -63,8 +63,7 @@ class FoundServo:
             return f"id {self.servo} at {self.speed} bit/s, garbled replies"
         if self.protocol == 1:
             return f"id {self.servo} at {self.speed} bit/s with Protocol 1.0"
-        name = {MODEL: "MX-64", MODEL_PROTOCOL_1: "MX-64 for Protocol 1.0"}.get(self.model, f"model {self.model}")
-        return f"id {self.servo} at {self.speed} bit/s, {name}, firmware {self.firmware}"
+        return f"id {self.servo} at {self.speed} bit/s, {model_name(self.model)}, firmware {self.firmware}"
 
 
 @dataclass(frozen=True)

@@ -108,6 +108,12 @@ def was_given(node: Node, name: str) -> bool:
     return name in node._parameter_overrides  # private, but rclpy's only source for it
 
 
+def show_values(node: Node, values: Mapping[str, Any]) -> None:
+    """Show in parameters that were not given what the node uses instead of their defaults, as it found out since."""
+    for name, value in values.items():
+        node._parameters[name] = Parameter(name, value=value)  # private: rclpy changes no read-only parameter
+
+
 def reject_unknown(node: Node, arguments: Sequence[str] | None = None) -> None:
     """Refuse given parameters that the node does not have; call it after all are declared.
 

@@ -12,7 +12,8 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from deltacharger_core.arrays import Array
-from deltacharger_driver.servos.registers import CURRENT_UNIT, TICK
+from deltacharger_core.servo_types import MX_64
+from deltacharger_driver.servos.registers import TICK
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_sim.circuit import Circuit
 from deltacharger_sim.clearance import Overlap
@@ -29,6 +30,7 @@ _NOTHING = 1e-9  # s
 AMBIENT_TEMPERATURE = 28.0  # °C
 HEATING = 9.0  # K/A², final temperature rise of a servo per squared current
 HEATING_TIME = 600.0  # s, time constant of that rise
+_CURRENT_UNIT = MX_64.current_unit  # A, step of a reading
 T = TypeVar("T")
 
 
@@ -223,7 +225,7 @@ class World:
             current = 0.0
         elif noise > 0.0:
             current += self._random.gauss(0.0, noise)
-        return round(angle / TICK) * TICK, rate, round(current / CURRENT_UNIT) * CURRENT_UNIT, voltage, temperature
+        return round(angle / TICK) * TICK, rate, round(current / _CURRENT_UNIT) * _CURRENT_UNIT, voltage, temperature
 
     def _state(self, index: int) -> tuple[float, float, float, float, float]:
         """Return the reading of servo `index` without noise and delay."""

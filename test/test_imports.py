@@ -90,6 +90,18 @@ def test_no_two_files_import_each_other() -> None:
     assert not sorted((a, b) for a, b in arrows if a < b and (b, a) in arrows)
 
 
+def test_servos_and_board_know_nothing_of_each_other() -> None:
+    """Whoever knows both, such as the emulated board with servos behind it, lies above them."""
+    for mine, other in (("servos", "board"), ("board", "servos")):
+        left = [name for name in texts() if name.startswith(f"deltacharger_driver.{mine}.")]
+        found: set[str] = set()
+        while left:
+            if (name := left.pop()) not in found and name in texts():
+                found.add(name)
+                left += [each for each in imports()[name] if each.startswith("deltacharger_driver.")]
+        assert not sorted(name for name in found if name.startswith(f"deltacharger_driver.{other}."))
+
+
 def test_no_two_public_classes_have_one_name() -> None:
     homes: dict[str, list[str]] = {}
     for module, text in texts().items():

@@ -23,8 +23,6 @@ from deltacharger_core.machine import BAUD_RATE, BEHIND_BOARD, SERVO_IDS
 if TYPE_CHECKING:
     from deltacharger_scenes.scene import Scene
 
-_CURRENT_MAX = 3.0  # A, default of servo_node
-
 
 def add_doctor(parser: argparse.ArgumentParser) -> None:
     """Add the options of `doctor`."""
@@ -52,7 +50,7 @@ class _Hardware:
     board_speed: int = BAUD_RATE
     ids: tuple[int, ...] = SERVO_IDS
     wired: bool = False  # the electrodes are wired to the battery
-    current_max: float = _CURRENT_MAX
+    current_max: float | None = None
     clear_weld: bool = False
     problems: list[Finding] = field(default_factory=list)
 
@@ -139,7 +137,7 @@ def _hardware(options: argparse.Namespace) -> _Hardware:
         hardware.servo_port = hardware.servo_port or str(values.get("port", ""))
         hardware.servo_speed = int(values.get("baud_rate", BAUD_RATE))
         hardware.ids = tuple(values.get("ids", hardware.ids))
-        hardware.current_max = float(values.get("current_max", _CURRENT_MAX))
+        hardware.current_max = values.get("current_max")
     if "tactile_node" in scene.nodes:
         values = scene.node_parameters("tactile_node", {})
         hardware.board_port = hardware.board_port or str(values.get("port", ""))

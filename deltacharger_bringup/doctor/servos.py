@@ -6,16 +6,17 @@ from __future__ import annotations
 import contextlib
 import statistics
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from deltacharger_bringup.doctor.findings import Finding, failed, hint, ok, wrong
 from deltacharger_core.machine import SERVO_IDS
+from deltacharger_core.servo_types import NAMES, TYPES, ServoType
 from deltacharger_driver.errors import CorruptReply, DriverError, NoAnswer, ServoFault
 from deltacharger_driver.port_identity import SERVO_SPEEDS, FoundServo, PortIdentity, identify
 from deltacharger_driver.ports import SPEEDS
 from deltacharger_driver.servos.bus import check_registers
 from deltacharger_driver.servos.link import ServoLink
-from deltacharger_driver.servos.registers import MODEL, VOLTAGE_UNIT, WATCHDOG_TRIPPED, describe_hardware_error
+from deltacharger_driver.servos.registers import WATCHDOG_TRIPPED, describe_hardware_error
 
 SUPPLY = (11.0, 13.0)  # V, what a 12 V regulator gives
 _WARM = 15.0  # °C below the servo's own limit
@@ -28,7 +29,12 @@ _STEP = 0.05  # s
 
 
 def examine_servos(
-    path: str, baud_rate: int, ids: Sequence[int], current_max: float, speeds: Sequence[int] = (), options: str = ""
+    path: str,
+    baud_rate: int,
+    ids: Sequence[int],
+    current_max: float | None,
+    speeds: Sequence[int] = (),
+    options: str = "",
 ) -> Iterator[Finding]:
     """Find all servos of a port and check those that the charger uses.
 
@@ -36,7 +42,7 @@ def examine_servos(
         path: of the port; no other program may have it open.
         baud_rate: expected speed, bit/s.
         ids: of limbs 0, 1, 2.
-        current_max: A, the largest current bound that will be used.
+        current_max: A, the largest current bound that will be used; None = the stall current of their type.
         speeds: to search, bit/s; empty = all speeds of the servos.
         options: command-line options of the port for the remedy; empty = --servo-port with its path.
     """
@@ -44,15 +50,20 @@ def examine_servos(
     if found.kind != "servos":
         yield _none(found)
         return
-    ready = []
+    ready: dict[int, ServoType] = {}
     for servo in ids:
         matching = [one for one in found.servos if one.servo == servo]
         problem = _problem(servo, matching, baud_rate, options or f"--servo-port {path}")
         if problem is not None:
             yield problem
+            continue
+        kind = TYPES[matching[0].model]
+        like, usual = next(iter(ready.items()), (servo, kind))
+        if kind is usual:
+            ready[servo] = kind
+            yield ok(f"servo {servo}", f"answers at {baud_rate} bit/s, {kind.name}, firmware {matching[0].firmware}")
         else:
-            ready.append(servo)
-            yield ok(f"servo {servo}", f"answers at {baud_rate} bit/s, MX-64, firmware {matching[0].firmware}")
+            yield wrong(f"servo {servo}", f"is {kind}, not {usual} as servo {like}", "use servos of one type")
     yield from _strangers(found.servos, ids)
     if ready:
         yield from _check_registers(path, baud_rate, ready, current_max)
@@ -80,8 +91,8 @@ def _problem(servo: int, matching: Sequence[FoundServo], baud_rate: int, options
         return wrong(part, text, "unplug one of two servos and give it another id; otherwise check the plugs")
     if one.protocol == 1:
         return wrong(part, f"uses Protocol 1.0 at {one.speed} bit/s", _FIRMWARE_ADVICE)
-    if one.model != MODEL:
-        return wrong(part, f"is model {one.model}, not an MX-64 with Protocol 2.0 ({MODEL})", "replace it")
+    if one.model not in TYPES:
+        return wrong(part, f"is model {one.model}, not {NAMES} with Protocol 2.0", "replace it")
     if one.speed != baud_rate:
         command = f"deltacharger doctor {options} --set-baud {baud_rate} --ids {servo}"
         return wrong(part, f"answers at {one.speed} bit/s, not at {baud_rate}", f"run: {command}")
@@ -94,26 +105,28 @@ def _strangers(servos: Sequence[FoundServo], ids: Sequence[int]) -> Iterator[Fin
             yield hint("servos", f"unused servo on the bus: {one}", "check whether its id is wrong")
 
 
-def _check_registers(path: str, baud_rate: int, servos: Sequence[int], current_max: float) -> Iterator[Finding]:
+def _check_registers(
+    path: str, baud_rate: int, servos: Mapping[int, ServoType], current_max: float | None
+) -> Iterator[Finding]:
     """Yield the findings from the registers of servos at the right speed."""
     link = ServoLink(path, baud_rate)
     link.open()
     try:
-        for servo in servos:
+        for servo, kind in servos.items():
             try:
-                yield from _health(link, servo)
-                yield from _settings(link, servo, current_max)
+                yield from _health(link, servo, kind)
+                yield from _settings(link, servo, kind, kind.stall_current if current_max is None else current_max)
             except NoAnswer:
                 text = "answers pings but no reads: its status return level is 0, or the line is bad"
                 yield hint(f"servo {servo}", text, "start servo_node, which sets the level; then check the plugs")
             except (CorruptReply, ServoFault) as error:
                 yield failed(f"servo {servo}", error, "check for noise, a bad plug or two servos with this id")
-        yield from _line(link, servos)
+        yield from _line(link, list(servos))
     finally:
         link.close()
 
 
-def _health(link: ServoLink, servo: int) -> Iterator[Finding]:
+def _health(link: ServoLink, servo: int, kind: ServoType) -> Iterator[Finding]:
     part = f"servo {servo}"
     errors = link.read(servo, "hardware_error")
     if errors:
@@ -124,9 +137,9 @@ def _health(link: ServoLink, servo: int) -> Iterator[Finding]:
     if link.read(servo, "bus_watchdog") == WATCHDOG_TRIPPED:
         text = "its bus watchdog has tripped: it received nothing for too long and accepts no goals"
         yield hint(part, text, "servo_node clears it when it starts")
-    voltage = VOLTAGE_UNIT * link.read(servo, "input_voltage")
+    voltage = kind.voltage_unit * link.read(servo, "input_voltage")
     temperature, limit = link.read(servo, "temperature"), link.read(servo, "temperature_limit")
-    least, most = (VOLTAGE_UNIT * link.read(servo, name) for name in ("min_voltage", "max_voltage"))
+    least, most = (kind.voltage_unit * link.read(servo, name) for name in ("min_voltage", "max_voltage"))
     if not least <= voltage <= most:
         yield wrong(part, f"supply {voltage:.1f} V, outside its limits of {least:.1f} to {most:.1f} V", _SUPPLY_ADVICE)
     elif not SUPPLY[0] <= voltage <= SUPPLY[1]:
@@ -140,9 +153,9 @@ def _health(link: ServoLink, servo: int) -> Iterator[Finding]:
     yield ok(part, f"supply {voltage:.1f} V, {temperature} °C")
 
 
-def _settings(link: ServoLink, servo: int, current_max: float) -> Iterator[Finding]:
+def _settings(link: ServoLink, servo: int, kind: ServoType, current_max: float) -> Iterator[Finding]:
     """Yield the registers that servo_node would refuse."""
-    for fault in check_registers(link, servo, current_max):
+    for fault in check_registers(link, servo, kind, current_max):
         what, _, advice = fault.partition("; ")
         advice = f"{advice}; set it with the vendor's wizard" if "wizard" not in advice else advice
         yield wrong(f"servo {servo}", what.removeprefix(f"servo {servo}: "), advice)
@@ -209,8 +222,8 @@ def _set_one(path: str, baud: int, servo: int, matching: Sequence[FoundServo]) -
     if len(matching) > 1 or one.garbled:
         text = "answers unintelligibly or twice: two servos have this id, or there is noise; nothing was written"
         return wrong(part, text, "unplug one of two servos and give it another id first; otherwise check the plugs")
-    if one.protocol == 1 or one.model != MODEL:
-        text = f"is no MX-64 with Protocol 2.0 ({one}); nothing was written"
+    if one.protocol == 1 or one.model not in TYPES:
+        text = f"is no {NAMES} with Protocol 2.0: {one}; nothing was written"
         return wrong(part, text, "update its firmware to 39 or later with the vendor's wizard")
     if one.speed == baud:
         return ok(part, f"has {baud} bit/s already; nothing was written")

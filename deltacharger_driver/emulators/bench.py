@@ -39,11 +39,16 @@ class BenchArm:
     Args:
         angles: initial angles, rad.
         clock: s, monotonic.
+        torque_constant: Kt, N·m/A.
     """
 
     def __init__(
-        self, angles: tuple[float, ...] = (-0.7, -0.7, -0.7), clock: Callable[[], float] = time.monotonic
+        self,
+        angles: tuple[float, ...] = (-0.7, -0.7, -0.7),
+        clock: Callable[[], float] = time.monotonic,
+        torque_constant: float = TORQUE_CONSTANT,
     ) -> None:
+        self._constant = torque_constant
         self.load = [0.0] * len(angles)
         self.voltage = [NOMINAL_VOLTAGE] * len(angles)
         self.supply_resistance = 0.0
@@ -108,7 +113,7 @@ class BenchArm:
             self._velocity[index] = self._current[index] = 0.0
             return
         _, reference, current_limit, gain, _ = command
-        limit, stiffness = TORQUE_CONSTANT * current_limit, SERVO_STIFFNESS * gain
+        limit, stiffness = self._constant * current_limit, SERVO_STIFFNESS * gain
         # Implicit in the angle: stable at any stiffness. If the torque is clipped, it is known.
         change = (stiffness * (reference - self._angle[index]) + self.load[index]) / (SERVO_DAMPING / _STEP + stiffness)
         torque = stiffness * (reference - self._angle[index] - change)
@@ -117,7 +122,7 @@ class BenchArm:
             change = (torque + self.load[index]) * _STEP / SERVO_DAMPING
         self._angle[index] += change
         self._velocity[index] = change / _STEP
-        self._current[index] = torque / TORQUE_CONSTANT
+        self._current[index] = torque / self._constant
 
 
 class BenchPlant:

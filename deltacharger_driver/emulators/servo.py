@@ -1,30 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An emulated MX-64: memory with access rules, limits and indirect addresses; modes, watchdog, errors, restart."""
+"""An emulated servo: memory with access rules, limits and indirect addresses; modes, watchdog, errors, restart."""
 
 from __future__ import annotations
 
+import functools
 import math
 import struct
 from typing import Protocol
 
-from deltacharger_core.machine import POSITION_D_GAIN, POSITION_P_GAIN
+from deltacharger_core.servo_types import MX_64, ServoType
 from deltacharger_driver.ports import SPEEDS
 from deltacharger_driver.servos.registers import (
     ALERT,
-    CURRENT_UNIT,
     INDIRECT_COUNT,
     MODE_CURRENT_POSITION,
     MODE_EXTENDED,
     MODE_POSITION,
-    REGISTERS,
     TICK,
-    VELOCITY_UNIT,
-    VOLTAGE_UNIT,
     WATCHDOG_TRIPPED,
     WATCHDOG_UNIT,
     Register,
     indirect_address,
     indirect_data,
+    registers_of,
 )
 
 SIZE = 662
@@ -42,9 +40,6 @@ _LIMITS = {
     "profile_velocity": "velocity_limit",
     "profile_acceleration": "acceleration_limit",
 }
-_OWNER: dict[int, str] = {
-    register.address + offset: name for name, register in REGISTERS.items() for offset in range(register.size)
-}
 _POINTERS = {indirect_address(slot) + offset: (slot, offset) for slot in range(INDIRECT_COUNT) for offset in range(2)}
 _DATA = {indirect_data(slot): slot for slot in range(INDIRECT_COUNT)}
 _FIRST_TARGET = 64
@@ -59,18 +54,27 @@ _NOT_FOLLOWING = 114  # counts from the reference, 10°; the vendor gives no fig
 _POSITION_MODES = (MODE_POSITION, MODE_EXTENDED, MODE_CURRENT_POSITION)
 
 
+@functools.cache
+def _owners(kind: ServoType) -> dict[int, str]:
+    """Return the register that holds each byte of a type's control table."""
+    table = registers_of(kind)
+    return {table[name].address + offset: name for name in table for offset in range(table[name].size)}
+
+
 class ControlTable:
     """Registers of one servo as bytes, with the rules for writes from the bus.
 
     Args:
         servo: its id.
         baud: value of the baud register.
+        kind: its type.
     """
 
-    def __init__(self, servo: int, baud: int = 3) -> None:
+    def __init__(self, servo: int, baud: int = 3, kind: ServoType = MX_64) -> None:
+        self._registers, self._owner = registers_of(kind), _owners(kind)
         self._memory = bytearray(SIZE)
         self._targets: list[int] = []
-        for name, register in REGISTERS.items():
+        for name, register in self._registers.items():
             if register.eeprom:
                 self.set(name, register.default)
         self.set("id", servo)
@@ -79,12 +83,11 @@ class ControlTable:
 
     def restart(self) -> None:
         """Reset all registers outside EEPROM to their defaults, as at power-on."""
-        for name, register in REGISTERS.items():
+        for name, register in self._registers.items():
             if not register.eeprom:
                 self.set(name, register.default)
-        for name, limit in _LIMITS.items():
-            if name in ("goal_pwm", "goal_current"):
-                self.set(name, self.get(limit))
+        for name in ("goal_pwm", "goal_current"):
+            self.set(name, self.get(_LIMITS[name]))
         for slot in range(INDIRECT_COUNT):
             self._memory[indirect_data(slot)] = 0
             struct.pack_into("<H", self._memory, indirect_address(slot), indirect_data(slot))
@@ -92,13 +95,13 @@ class ControlTable:
 
     def get(self, name: str) -> int:
         """Return a register."""
-        register = REGISTERS[name]
+        register = self._registers[name]
         start = register.address
         return int.from_bytes(self._memory[start : start + register.size], "little", signed=register.signed)
 
     def set(self, name: str, value: int) -> None:
         """Set a register from inside the servo, without the rules for the bus."""
-        register = REGISTERS[name]
+        register = self._registers[name]
         self._memory[register.address : register.address + register.size] = register.to_bytes(value)
 
     def set_present(self, current: int, velocity: int, position: int, voltage: int, temperature: int) -> None:
@@ -155,14 +158,14 @@ class ControlTable:
         """Return (error, values) of the registers that these bytes form."""
         values: dict[str, int] = {}
         for at in plain:
-            name = _OWNER.get(at)
+            name = self._owner.get(at)
             if name is None:
                 if at not in _DATA:
                     return ACCESS, {}
                 continue
             if name in values:
                 continue
-            register = REGISTERS[name]
+            register = self._registers[name]
             if not register.writable or (register.eeprom and self.get("torque_enable")):
                 return ACCESS, {}
             places = range(register.address, register.address + register.size)
@@ -184,7 +187,7 @@ class ControlTable:
             return RANGE
         if name == "operating_mode" and value not in (0, 1, 3, 4, 5, 16):
             return RANGE
-        if name in _LIMITS and abs(value) > self.get(_LIMITS[name]):
+        if (limit := _LIMITS.get(name)) in self._registers and abs(value) > self.get(limit):
             return LIMIT
         if name == "goal_position" and self.get("operating_mode") == 3:
             return OK if self.get("min_position") <= value <= self.get("max_position") else LIMIT
@@ -234,6 +237,7 @@ class ServoFirmware:
         plant: its physics.
         index: of the servo in the plant.
         servo: id.
+        kind: its type.
 
     Attributes:
         table: its registers.
@@ -241,8 +245,9 @@ class ServoFirmware:
         supply_limit: upper limit of the supply, V, whatever the plant returns; inf = none.
     """
 
-    def __init__(self, plant: ServoPlant, index: int, servo: int) -> None:
-        self.table = ControlTable(servo)
+    def __init__(self, plant: ServoPlant, index: int, servo: int, kind: ServoType = MX_64) -> None:
+        self.table = ControlTable(servo, kind=kind)
+        self._kind, self._usual = kind, kind.gains
         self.protocol = 2
         self.supply_limit = math.inf
         self._plant = plant
@@ -344,20 +349,20 @@ class ServoFirmware:
         """Copy the plant's state into the registers, latch resulting errors, and return the angle, rad."""
         angle, velocity, current, voltage, temperature = self._plant.read_servo(self._index)
         voltage = min(voltage, self.supply_limit)
-        table = self.table
+        table, kind = self.table, self._kind
         table.set_present(
-            max(-32768, min(32767, round(current / CURRENT_UNIT))),
-            round(velocity / VELOCITY_UNIT),
+            max(-32768, min(32767, round(current / kind.current_unit))),
+            round(velocity / kind.velocity_unit),
             self._ticks(angle),
-            max(0, min(65535, round(voltage / VOLTAGE_UNIT))),
+            max(0, min(65535, round(voltage / kind.voltage_unit))),
             max(0, min(255, round(temperature))),
         )
         table.set_movement(*self._movement(angle, velocity))
-        decivolts = voltage / VOLTAGE_UNIT
+        counts = voltage / kind.voltage_unit
         errors = 0
         if temperature >= table.get("temperature_limit"):
             errors |= _OVERHEATING
-        if not table.get("min_voltage") <= decivolts <= table.get("max_voltage"):
+        if not table.get("min_voltage") <= counts <= table.get("max_voltage"):
             errors |= _VOLTAGE
         if errors & ~table.get("hardware_error"):
             self.raise_error(errors)
@@ -379,7 +384,7 @@ class ServoFirmware:
     def _movement(self, angle: float, velocity: float) -> tuple[bool, int]:
         """Return registers 122 and 123."""
         table = self.table
-        moving = abs(velocity) > table.get("moving_threshold") * VELOCITY_UNIT
+        moving = abs(velocity) > table.get("moving_threshold") * self._kind.velocity_unit
         if not table.get("torque_enable") or table.get("operating_mode") not in _POSITION_MODES:
             return moving, 0
         distance = abs(self._reference - angle)
@@ -422,8 +427,9 @@ class ServoFirmware:
         limit = table.get("current_limit")
         if mode == MODE_CURRENT_POSITION:
             limit = min(limit, abs(table.get("goal_current")))
-        gain, braking = table.get("position_p_gain") / POSITION_P_GAIN, table.get("position_d_gain") / POSITION_D_GAIN
-        command = (on, self._reference, limit * CURRENT_UNIT, gain, braking)
+        stiff, _, damped = self._usual
+        gain, braking = table.get("position_p_gain") / stiff, table.get("position_d_gain") / damped
+        command = (on, self._reference, limit * self._kind.current_unit, gain, braking)
         if command != self._commanded:
             self._commanded = command
             self._plant.command_servo(self._index, *command)

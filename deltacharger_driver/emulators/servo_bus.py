@@ -16,6 +16,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from deltacharger_core.machine import SERVO_IDS
+from deltacharger_core.servo_types import MX_64, ServoType
 from deltacharger_driver.emulators.servo import CHECKSUM, INSTRUCTION, LENGTH, OK, ServoFirmware, ServoPlant
 from deltacharger_driver.errors import DriverError
 from deltacharger_driver.packets import (
@@ -236,7 +237,7 @@ def _received(line: list[int]) -> bytes:
 
 
 class ServoBusEmulator:
-    """Emulated MX-64 servos with Protocol 2.0 on one bus, a `ByteDevice` for `PseudoTerminal`.
+    """Emulated servos with Protocol 2.0 on one bus, a `ByteDevice` for `PseudoTerminal`.
 
     Their configuration is the one the driver expects on the robot: 1 Mbit/s, everything else as from the factory.
 
@@ -247,6 +248,7 @@ class ServoBusEmulator:
         line_speed: returns the host's speed, bit/s, such as `PseudoTerminal.speed`; servos receive nothing at another
             speed than theirs. None = any.
         seed: of the random faults.
+        kind: type of the servos.
 
     Attributes:
         faults: injected faults; may be changed at any time.
@@ -260,6 +262,7 @@ class ServoBusEmulator:
         paced: bool = False,
         line_speed: Callable[[], int] | None = None,
         seed: int = 0,
+        kind: ServoType = MX_64,
     ) -> None:
         self.faults = ServoFaults()
         self.line_speed = line_speed
@@ -267,7 +270,7 @@ class ServoBusEmulator:
         self._lock = threading.RLock()
         self._random = random.Random(seed)
         self._parser = InstructionParser()
-        self._servos = [ServoFirmware(plant, index, servo) for index, servo in enumerate(ids)]
+        self._servos = [ServoFirmware(plant, index, servo, kind) for index, servo in enumerate(ids)]
         self._outgoing: list[tuple[float, bytes]] = []
 
     def servo(self, servo: int) -> ServoFirmware:
@@ -287,7 +290,7 @@ class ServoBusEmulator:
             change(self._servos[place])
 
     def raise_hardware_error(self, servo: int, bits: int) -> None:
-        """Latch hardware error `bits` (mx64.HARDWARE_ERRORS) in a servo."""
+        """Latch hardware error `bits` (registers.HARDWARE_ERRORS) in a servo."""
         with self._lock:
             self.servo(servo).raise_error(bits)
 
@@ -303,7 +306,7 @@ class ServoBusEmulator:
             self._parser.protocol_1 = True
 
     def set_speed(self, servo: int, baud: int) -> None:
-        """Set a servo's baud register (key of mx64.SPEEDS), as found from the factory: 1."""
+        """Set a servo's baud register (key of ports.SPEEDS), as found from the factory: 1."""
         with self._lock:
             self.servo(servo).table.set("baud", baud)
 

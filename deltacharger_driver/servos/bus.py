@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from deltacharger_core.machine import TICKS_PER_TURN
+from deltacharger_core.servo_types import MX_64, NAMES, TYPES, ServoType
 from deltacharger_driver.errors import (
     CorruptReply,
     DriverError,
@@ -22,57 +23,34 @@ from deltacharger_driver.errors import (
 from deltacharger_driver.packets import sync_write_packet
 from deltacharger_driver.servos.link import ServoLink, ServoPort
 from deltacharger_driver.servos.registers import (
-    CURRENT_UNIT,
     GAINS,
     HARDWARE_ERRORS,
     MODE_CURRENT_POSITION,
-    MODEL,
-    MODEL_PROTOCOL_1,
     READ_ADDRESS,
     READ_BLOCK,
     READ_LENGTH,
     REGISTERS,
-    VELOCITY_UNIT,
-    VOLTAGE_UNIT,
     WATCHDOG,
     WATCHDOG_TRIPPED,
     WRITE_ADDRESS,
     WRITE_BLOCK,
     WRITE_LENGTH,
     BusSettings,
+    Drive,
     angle_to_ticks,
     current_to_counts,
     decode_block,
     describe_hardware_error,
     has_restarted,
     indirect_address,
+    registers_of,
     ticks_to_angle,
 )
 
 _UPDATE_ADVICE = "update its firmware to 39 or later (Protocol 2.0) with the vendor's wizard"
 _SCANNED_SPEEDS = (57600, 1_000_000, 115200, 2_000_000, 3_000_000, 4_000_000, 9600)
-MOTION = {
-    "return_delay": 0,
-    "operating_mode": MODE_CURRENT_POSITION,
-    "acceleration_limit": REGISTERS["acceleration_limit"].high,
-    "velocity_limit": REGISTERS["velocity_limit"].high,
-    **{name: REGISTERS[name].default for name in ("velocity_i_gain", "velocity_p_gain")},
-    **dict.fromkeys(("feedforward_2_gain", "feedforward_1_gain"), 0),
-    "goal_pwm": REGISTERS["goal_pwm"].high,
-    **dict.fromkeys(("goal_velocity", "profile_acceleration", "profile_velocity"), 0),
-}
-"""Registers that act on motion, beside the gains and what is demanded: other software may have left any value. They are
-read, and written only if different, because EEPROM wears."""
-_DEMANDED = {
-    "drive_mode": (0, 0, "set the sign with the parameter 'direction'"),
-    "homing_offset": (0, 0, "set the zero with the parameter 'zero_ticks'"),
-    "secondary_id": (255, 255, "otherwise it obeys packets for another servo too"),
-    "temperature_limit": (60, 80, "80 °C is the servo's rating; below 60 °C normal work would stop it"),
-    "min_voltage": (95, 110, "in units of 0.1 V; at 12 V it must neither trip nor miss a failing supply"),
-    "max_voltage": (130, 160, "in units of 0.1 V; at 12 V it must not trip, and beyond 16 V the servo is at risk"),
-    "pwm_limit": (885, 885, "a lower limit reduces speed and force"),
-}
-"""EEPROM registers that are checked but never written, because they were set on purpose: lowest, highest, reason."""
+_TRIPS_BELOW, _TRIPS_ABOVE = 11.0, 13.0
+"""V: highest lower and lowest upper limit of a supply of 12 V."""
 _SHUTDOWN_BITS = (2, 5)
 """Errors on which a servo must switch itself off: overheating and overload."""
 UNKNOWN_AFTER = 3
@@ -86,7 +64,56 @@ UNKNOWN = (math.nan,) * 5
 """Angle, velocity, current, voltage and temperature of a servo without a good reply."""
 
 
-def set_up(link: ServoLink, settings: BusSettings, scan: bool = True) -> None:
+def motion_registers(servo: ServoType) -> dict[str, int]:
+    """Return the registers of a type that act on motion, beside the gains and what is demanded.
+
+    Other software may have left any value. They are read, and written only if different, because EEPROM wears.
+    """
+    table = registers_of(servo)
+    return {
+        "return_delay": 0,
+        "operating_mode": MODE_CURRENT_POSITION,
+        **{name: table[name].high for name in ("acceleration_limit", "velocity_limit") if name in table},
+        **{name: table[name].default for name in ("velocity_i_gain", "velocity_p_gain")},
+        **dict.fromkeys(("feedforward_2_gain", "feedforward_1_gain"), 0),
+        "goal_pwm": table["goal_pwm"].high,
+        **dict.fromkeys(("goal_velocity", "profile_acceleration", "profile_velocity"), 0),
+    }
+
+
+def _demanded(servo: ServoType, current_max: float) -> dict[str, tuple[int, int, str]]:
+    """Return the EEPROM registers that are checked but never written: lowest and highest value, reason.
+
+    They were set on purpose.
+    """
+    least, rating = current_to_counts(current_max, servo), servo.temperature_limit
+    unit, highest = servo.voltage_unit, servo.voltage_max * servo.voltage_unit
+    return {
+        "drive_mode": (0, 0, "set the sign with the parameter 'direction'"),
+        "homing_offset": (0, 0, "set the zero with the parameter 'zero_ticks'"),
+        "secondary_id": (255, 255, "otherwise it obeys packets for another servo too"),
+        "temperature_limit": (60, rating, f"{rating} °C is the servo's rating; below 60 °C normal work would stop it"),
+        "min_voltage": (
+            servo.voltage_min,
+            round(_TRIPS_BELOW / unit),
+            f"in units of {unit:g} V; at 12 V it must neither trip nor miss a failing supply",
+        ),
+        "max_voltage": (
+            round(_TRIPS_ABOVE / unit),
+            servo.voltage_max,
+            f"in units of {unit:g} V; at 12 V it must not trip, and beyond {highest:g} V the servo is at risk",
+        ),
+        "pwm_limit": (servo.pwm_limit, servo.pwm_limit, "a lower limit reduces speed and force"),
+        "current_limit": (
+            least,
+            servo.current_limit,
+            "the servo would ignore every goal whose current bound is above its limit; raise it to "
+            f"{servo.current_limit} or lower the parameter 'current_max' ({current_max:g} A = {least})",
+        ),
+    }
+
+
+def set_up(link: ServoLink, settings: BusSettings, scan: bool = True, before: ServoType | None = None) -> Drive:
     """Identify every servo and configure the expected ones; their torque is off afterwards.
 
     Args:
@@ -94,56 +121,65 @@ def set_up(link: ServoLink, settings: BusSettings, scan: bool = True) -> None:
         settings: ids and configuration of the servos.
         scan: look for servos that do not answer at other speeds and with old firmware, to name their speed; about a
             second per servo.
+        before: their type, if it is known; other servos are refused.
+
+    Returns:
+        The settings for the type that all of them have.
 
     Raises:
         HandshakeError: every fault of every servo, one sentence each.
+        RangeError: a setting is out of range for their type.
         PortGone: the port vanished.
     """
-    found = identify(link, settings.ids, scan)
+    found = {servo: _identify(link, servo, scan) for servo in settings.ids}
+    like, wanted = ("as before: restart servo_node to use other servos", before) if before else _first(found)
+    drive = settings.drive(wanted or MX_64)
     faults = []
-    for servo, fault in found.items():
-        faults += [fault] if fault else _configure(link, servo, settings)
+    for servo, kind in found.items():
+        if isinstance(kind, str):
+            faults.append(kind)
+        elif kind is not drive.servo:
+            faults.append(f"servo {servo} is {kind}, not {drive.servo} {like}")
+        else:
+            faults += _configure(link, servo, settings, drive)
     if faults:
         raise HandshakeError(link.port, faults)
+    return drive
 
 
-def identify(link: ServoLink, servos: Sequence[int], scan: bool = True) -> dict[int, str]:
-    """Return why each servo is not an MX-64 with Protocol 2.0 that answers at the link's speed; "" if it is.
-
-    Args:
-        link: an open link.
-        servos: ids.
-        scan: look for servos that do not answer, see `set_up`.
-
-    Raises:
-        PortGone: the port vanished.
-    """
-    faults = {}
-    for servo in servos:
-        fault = _identify_one(link, servo)
-        if fault is None:
-            fault = _locate(link, servo) if scan else f"servo {servo} does not answer"
-        faults[servo] = fault
-    return faults
+def _first(found: dict[int, ServoType | str]) -> tuple[str, ServoType | None]:
+    """Return the type of the first servo that has one, and what to say to another servo; None = no servo has one."""
+    known = ((servo, kind) for servo, kind in found.items() if not isinstance(kind, str))
+    servo, kind = next(known, (0, None))
+    return f"as servo {servo}: the arm needs servos of one type", kind
 
 
-def _identify_one(link: ServoLink, servo: int) -> str | None:
-    """Return the fault of a servo at the link's speed: "" for none, None without an answer."""
+def _identify(link: ServoLink, servo: int, scan: bool) -> ServoType | str:
+    """Return the type of a servo that answers at the link's speed, or its fault."""
+    found = _identify_one(link, servo)
+    if found is None:
+        return _locate(link, servo) if scan else f"servo {servo} does not answer"
+    return found
+
+
+def _identify_one(link: ServoLink, servo: int) -> ServoType | str | None:
+    """Return the type of a servo at the link's speed, or its fault; None without an answer."""
     try:
         model = link.ping(servo, attempts=2)
     except NoAnswer:
         return None
     except CorruptReply:
         return f"servo {servo} sends garbled replies; look for two servos with this id, noise or a bad plug"
-    if model == MODEL:
-        return ""
-    if model == MODEL_PROTOCOL_1:
-        return f"servo {servo} is an MX-64 with Protocol 1.0 firmware; {_UPDATE_ADVICE}"
-    return f"servo {servo} is model {model}, not an MX-64 with Protocol 2.0 ({MODEL})"
+    if model in TYPES:
+        return TYPES[model]
+    for each in TYPES.values():
+        if model == each.model_protocol_1:
+            return f"servo {servo} is an {each.name} with Protocol 1.0 firmware; {_UPDATE_ADVICE}"
+    return f"servo {servo} is model {model}, not {NAMES} with Protocol 2.0"
 
 
-def _locate(link: ServoLink, servo: int) -> str:
-    """Return at which speed a servo answers that did not answer at the link's speed; "" for one that answers now.
+def _locate(link: ServoLink, servo: int) -> ServoType | str:
+    """Return at which speed a servo answers that did not answer at the link's speed, or its type if it answers now.
 
     The supply may be switched on together with the computer: a servo that was still starting is asked once more.
     """
@@ -165,36 +201,38 @@ def _locate(link: ServoLink, servo: int) -> str:
     finally:
         link.set_speed(link.baud_rate)
     silent = f"servo {servo} does not answer at any speed; check its supply, its cable and its id"
-    return silent if (fault := _identify_one(link, servo)) is None else fault
+    return _identify_one(link, servo) or silent
 
 
-def configure(link: ServoLink, servo: int, settings: BusSettings) -> None:
+def configure(link: ServoLink, servo: int, settings: BusSettings, drive: Drive) -> None:
     """Switch a servo's torque off and configure it for the cycle, verifying each register by reading it back.
 
-    Written: status return level, torque enable, `MOTION`, gains of the position loop, indirect addresses, bus watchdog.
-    Checked but never written: drive mode, homing offset, secondary id, shutdown, and
-    the limits of temperature, voltage, PWM and current. Neither: id, baud rate.
+    Written: status return level, torque enable, `motion_registers`, gains of the position loop, indirect addresses, bus
+    watchdog. Checked but never written: drive mode, homing offset, secondary id, shutdown, and the limits of
+    temperature, voltage, PWM and current. Neither: id, baud rate.
 
     Args:
         link: an open link.
         servo: its id.
-        settings: for the watchdog, the gains and the largest current.
+        settings: for the watchdog.
+        drive: for the type, the gains and the largest current.
 
     Raises:
         HandshakeError: every setting that failed.
         PortGone: the port vanished.
     """
-    faults = _configure(link, servo, settings)
+    faults = _configure(link, servo, settings, drive)
     if faults:
         raise HandshakeError(link.port, faults)
 
 
-def check_registers(link: ServoLink, servo: int, current_max: float) -> list[str]:
+def check_registers(link: ServoLink, servo: int, kind: ServoType, current_max: float) -> list[str]:
     """Return the faults of the registers that the driver checks but never writes.
 
     Args:
         link: an open link.
         servo: its id.
+        kind: its type.
         current_max: A, the largest current bound of any goal.
 
     Returns:
@@ -204,13 +242,7 @@ def check_registers(link: ServoLink, servo: int, current_max: float) -> list[str
         NoAnswer, CorruptReply, ServoFault, PortGone: they cannot be read.
     """
     faults = []
-    least = current_to_counts(current_max)
-    advice = (
-        "the servo would ignore every goal whose current bound is above its limit; raise it to 1941 or lower the "
-        f"parameter 'current_max' ({current_max:g} A = {least})"
-    )
-    demands = {**_DEMANDED, "current_limit": (least, REGISTERS["current_limit"].high, advice)}
-    for name, (low, high, why) in demands.items():
+    for name, (low, high, why) in _demanded(kind, current_max).items():
         value = link.read(servo, name)
         if not low <= value <= high:
             allowed = f"{low}" if low == high else f"{low} to {high}"
@@ -225,16 +257,16 @@ def check_registers(link: ServoLink, servo: int, current_max: float) -> list[str
     return faults
 
 
-def _configure(link: ServoLink, servo: int, settings: BusSettings) -> list[str]:
+def _configure(link: ServoLink, servo: int, settings: BusSettings, drive: Drive) -> list[str]:
     """Configure a servo and return every fault."""
     faults: list[str] = []
     try:
         _enable_replies(link, servo, faults)
         _attempt(lambda: link.write(servo, "bus_watchdog", 0), faults)
         _set(link, servo, "torque_enable", 0, faults)
-        faults += check_registers(link, servo, settings.current_max)
+        faults += check_registers(link, servo, drive.servo, drive.current_max)
         if not faults:
-            _prepare(link, servo, settings, faults)
+            _prepare(link, servo, settings, drive, faults)
     except PortGone:
         raise
     except DriverError as error:
@@ -253,16 +285,16 @@ def _enable_replies(link: ServoLink, servo: int, faults: list[str]) -> None:
         _verify(link, servo, "status_return_level", 2, faults)
 
 
-def _prepare(link: ServoLink, servo: int, settings: BusSettings, faults: list[str]) -> None:
+def _prepare(link: ServoLink, servo: int, settings: BusSettings, drive: Drive, faults: list[str]) -> None:
     """Write the registers that the cycle needs, the watchdog last, after reading the cycle's block once."""
-    for name, value in (MOTION | dict(zip(GAINS, settings.gains, strict=True))).items():
+    for name, value in (motion_registers(drive.servo) | dict(zip(GAINS, drive.gains, strict=True))).items():
         if link.read(servo, name) != value:
             _set(link, servo, name, value, faults)
     _attempt(lambda: _map_blocks(link, servo, faults), faults)
     if faults:
         return
     try:
-        decode_block(link.read_bytes(servo, READ_ADDRESS, READ_LENGTH, "read the block of the cycle"))
+        decode_block(link.read_bytes(servo, READ_ADDRESS, READ_LENGTH, "read the block of the cycle"), drive.servo)
     except RangeError as error:
         faults.append(f"servo {servo}: {error}; restart it, and look for another program on its bus")
     else:
@@ -365,6 +397,7 @@ class ServoBus:
     Attributes:
         counters: communication errors so far.
         clock: keeps the time.
+        drive: the numbers for the servos' type; an MX-64's until `open` has found them.
     """
 
     def __init__(self, settings: BusSettings, handler: type[ServoPort] = ServoPort) -> None:
@@ -373,7 +406,8 @@ class ServoBus:
         self.clock = self._link.clock
         self.counters = self._link.counters
         self._count = len(settings.ids)
-        self._largest_counts = current_to_counts(settings.current_max)
+        self.drive = settings.drive(MX_64)
+        self._type: ServoType | None = None  # of the servos found at the first opening
         self._cycle = 0
         self._goals: tuple[tuple[float, ...], tuple[float, ...]] | None = None
         self._goal_bytes = b""
@@ -392,12 +426,15 @@ class ServoBus:
 
         Raises:
             PortMissing, PortBusy, PortDenied, PortError: the port cannot be opened.
-            HandshakeError: servos are missing, wrong or reject their configuration; lists every fault.
+            HandshakeError: servos are missing, wrong, of several types or of another type than before, or reject their
+                configuration; lists every fault.
+            RangeError: a setting is out of range for their type.
         """
         self._forget()
         self._link.open()
         try:
-            set_up(self._link, self.settings, scan)
+            self.drive = set_up(self._link, self.settings, scan, self._type)
+            self._type = self.drive.servo
         except BaseException:
             self._link.close()
             raise
@@ -413,7 +450,7 @@ class ServoBus:
             HandshakeError: it rejects its configuration.
             PortGone: the port vanished.
         """
-        configure(self._link, self.settings.ids[index], self.settings)
+        configure(self._link, self.settings.ids[index], self.settings, self.drive)
         self._rebooted[index] = False
         self._placed[index] = False
         self._torque[index] = False
@@ -565,9 +602,10 @@ class ServoBus:
 
     def _bound(self, current: float) -> int:
         """Return a current bound in counts; the check is in counts, so that rounding never refuses the largest."""
-        counts = current_to_counts(current) if current >= 0.0 else -1
-        if not 0 <= counts <= self._largest_counts:
-            raise RangeError("current bound", current, 0.0, self.settings.current_max, " A")
+        servo, most = self.drive.servo, self.drive.current_max
+        counts = current_to_counts(current, servo) if current >= 0.0 else -1
+        if not 0 <= counts <= current_to_counts(most, servo):
+            raise RangeError("current bound", current, 0.0, most, " A")
         return counts
 
     def _verify_goal(self, index: int, angles: Sequence[float], currents: Sequence[float]) -> None:
@@ -639,7 +677,7 @@ class ServoBus:
             self._torque[index] = False
             return UNKNOWN
         try:
-            reading = decode_block(data)
+            reading = decode_block(data, self.drive.servo)
         except RangeError:
             self.counters.implausible += 1
             return UNKNOWN
@@ -649,11 +687,11 @@ class ServoBus:
         self._errors[index] = reading.hardware_error
         self._torque[index] = reading.torque_enabled
         self._tripped[index] = reading.watchdog == WATCHDOG_TRIPPED
-        sign = self.settings.direction[index]
+        sign, servo = self.settings.direction[index], self.drive.servo
         return (
             self._place(index, reading.ticks),
-            sign * reading.velocity * VELOCITY_UNIT,
-            sign * reading.current * CURRENT_UNIT,
-            reading.voltage * VOLTAGE_UNIT,
+            sign * reading.velocity * servo.velocity_unit,
+            sign * reading.current * servo.current_unit,
+            reading.voltage * servo.voltage_unit,
             float(reading.temperature),
         )

@@ -23,7 +23,7 @@ from deltacharger_driver.errors import DriverError, PortError, PortGone, Traject
 from deltacharger_driver.servos.bus import BusSnapshot, ServoBus
 from deltacharger_driver.servos.link import ServoPort
 from deltacharger_driver.servos.motion import HOLD, STOP_TIME, JointWatch, ServoGoals, Trajectory
-from deltacharger_driver.servos.registers import BusSettings, describe_hardware_error
+from deltacharger_driver.servos.registers import BusSettings, Drive, describe_hardware_error
 from deltacharger_driver.servos.report import ServoMemory, ServoPhase, ServoReport, find_faults
 
 _POLL_PERIOD = 0.005  # s between two checks of the contactor
@@ -36,7 +36,7 @@ _TRIPS, _TRIPS_WITHIN = 3, 2.0  # this many watchdog trips within this many s ar
 
 OK, WARN, ERROR = b"\0", b"\1", b"\2"
 """Levels of diagnostic_msgs/DiagnosticStatus."""
-_HOT = 70.0  # °C, ten below the servo's own limit
+_HOT = 10.0  # °C below the servo's own limit
 _LITTLE_RESERVE = 60.0  # s
 
 
@@ -273,8 +273,6 @@ class ServoController:
 
     Args:
         settings: wiring and mounting.
-        current_bound: of each servo if a trajectory sets none, A.
-        torque_constant: N·m/A, converts a trajectory's torque bound into a current.
         notify: called with (severity "info" | "warning" | "error", message) for every event to log.
         contactor: opened before torque is switched off.
         handler: class of the port, which also keeps the time.
@@ -288,8 +286,6 @@ class ServoController:
     def __init__(
         self,
         settings: BusSettings,
-        current_bound: float,
-        torque_constant: float,
         notify: Callable[[str, str], None] = lambda severity, sentence: None,
         contactor: Contactor | None = None,
         handler: type[ServoPort] = ServoPort,
@@ -298,8 +294,6 @@ class ServoController:
         self.bus = ServoBus(settings, handler)
         self._clock = self.bus.clock
         self._ids = settings.ids
-        self._goals = ServoGoals(len(settings.ids), current_bound, torque_constant)
-        self._watch = JointWatch(settings, torque_constant)
         self._notify = notify
         self._contactor = contactor or NoContactor()
         self._phase = ServoPhase.DISCONNECTED
@@ -312,7 +306,14 @@ class ServoController:
         self._restarts = ServoRestarts(self.bus, notify)
         self._trips: deque[float] = deque([-math.inf] * _TRIPS, maxlen=_TRIPS)
         self._snapshot: BusSnapshot | None = None
-        self._memory = ServoMemory(len(settings.ids))
+        self._use(self.bus.drive)
+
+    def _use(self, drive: Drive) -> None:
+        """Begin anew, for servos of this type."""
+        self._drive, count = drive, len(self._ids)
+        self._goals = ServoGoals(count, drive.current_bound, drive.torque_constant)
+        self._watch = JointWatch(self.bus.settings, drive)
+        self._memory = ServoMemory(count, drive.servo)
 
     @property
     def phase(self) -> ServoPhase:
@@ -346,6 +347,12 @@ class ServoController:
             HandshakeError: lists every fault of the servos.
         """
         self.bus.open(scan=True)
+        self._take_open_bus()
+
+    def _take_open_bus(self) -> None:
+        """Be ready for torque with the servos found: at the first opening their type becomes known."""
+        if self.bus.drive != self._drive:
+            self._use(self.bus.drive)
         self._phase = ServoPhase.OFF
 
     def close(self) -> None:
@@ -588,7 +595,7 @@ class ServoController:
 
     def _reopen(self) -> None:
         if self._reconnection.attempt():
-            self._phase = ServoPhase.OFF
+            self._take_open_bus()
             self._notify("info", "connected again; torque is off")
 
     def _disconnect(self, error: PortError) -> None:
@@ -667,6 +674,7 @@ def bus_entry(
         "state": report.phase.value,
         "baud_rate": settings.baud_rate,
         "ids": list(settings.ids),
+        "type": controller.bus.drive.servo.name,
         "rate": quantity(rate, ".1f", "Hz"),
         "late_cycles": late,
         **asdict(controller.bus.counters),
@@ -690,8 +698,9 @@ def bus_entry(
     return DiagnosticEntry(level, message, values, "servo bus")
 
 
-def servo_entry(report: ServoReport, index: int, servo: int, joint: str) -> DiagnosticEntry:
+def servo_entry(report: ServoReport, index: int, controller: ServoController, joint: str) -> DiagnosticEntry:
     """Return the state of one servo."""
+    servo, hot = controller.bus.settings.ids[index], controller.bus.drive.servo.temperature_limit - _HOT
     values: dict[str, object] = {
         "joint": joint,
         "id": servo,
@@ -708,7 +717,7 @@ def servo_entry(report: ServoReport, index: int, servo: int, joint: str) -> Diag
         level, message = ERROR, f"latched: {errors}"
     elif not report.valid[index]:
         level, message = ERROR, "no good reply; check its supply and cable"
-    elif report.temperature[index] >= _HOT:
+    elif report.temperature[index] >= hot:
         level, message = WARN, f"hot: {report.temperature[index]:.0f} °C"
     elif report.thermal_reserve[index] <= 0.0:
         level, message = ERROR, "the winding has reached its thermal limit; let it rest"

@@ -481,7 +481,7 @@ class ServoLink:
 
         Args:
             servo: its id.
-            name: key of `mx64.REGISTERS`.
+            name: key of `registers.REGISTERS`.
             hurry: one attempt with the cycle's timeout.
 
         Raises:
@@ -507,7 +507,7 @@ class ServoLink:
 
         Args:
             servo: its id.
-            name: key of `mx64.REGISTERS`.
+            name: key of `registers.REGISTERS`.
             value: in register units.
             hurry: one attempt with the cycle's timeout.
 

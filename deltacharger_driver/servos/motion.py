@@ -16,15 +16,12 @@ from typing import NamedTuple
 
 from deltacharger_core.host_clock import AHEAD, COMPARE_CLOCKS
 from deltacharger_core.machine import (
-    DAMPING_PER_GAIN,
-    JOINT_SPEED,
-    STIFFNESS_PER_GAIN,
     STRAY_BEHIND,
     STRAY_OUTSIDE,
     STRAYS,
 )
 from deltacharger_driver.errors import TrajectoryRefused
-from deltacharger_driver.servos.registers import BusSettings
+from deltacharger_driver.servos.registers import BusSettings, Drive
 
 STALE_AFTER = 0.5  # s, age of a stamp beyond which a trajectory is refused
 MOST_POINTS = 1000
@@ -325,18 +322,18 @@ class JointWatch:
     early.
 
     Args:
-        settings: ids, gains and joint limits.
-        torque_constant: N·m/A.
+        settings: ids and joint limits.
+        drive: gains, torque constant and type of the servos.
 
     Attributes:
         strays: why each joint stops the arm, as in ServoState; 0 = it does not. Kept until `begin_at`.
     """
 
-    def __init__(self, settings: BusSettings, torque_constant: float) -> None:
+    def __init__(self, settings: BusSettings, drive: Drive) -> None:
         self._settings, self._reach = settings, settings.reach
-        self._constant = torque_constant
-        self._stiffness = STIFFNESS_PER_GAIN * settings.gains[0]
-        self._damping = DAMPING_PER_GAIN * settings.gains[2]
+        self._constant, self._speed = drive.torque_constant, drive.servo.joint_speed
+        self._stiffness = drive.servo.stiffness_per_gain * drive.gains[0]
+        self._damping = drive.servo.damping_per_gain * drive.gains[2]
         self.begin_at((math.nan,) * len(settings.ids))
 
     def begin_at(self, goals: Sequence[float]) -> None:
@@ -344,7 +341,7 @@ class JointWatch:
         count = len(self._settings.ids)
         self._goals, self._at = tuple(goals), math.nan
         self._angles = [math.nan] * count  # rad, read before
-        self._ahead = [0.0] * count  # rad that the goal has moved beyond what `JOINT_SPEED` allows
+        self._ahead = [0.0] * count  # rad that the goal has moved beyond what its largest speed allows
         self._since, self._readings, self.strays = [math.inf] * count, [0] * count, [0] * count
 
     def lead(self, torque: float) -> float:
@@ -358,7 +355,7 @@ class JointWatch:
         """Take the goals (rad) at `now` (s)."""
         passed = 0.0 if math.isnan(self._at) else now - self._at
         self._ahead = [
-            max(ahead + abs(goal - before) - JOINT_SPEED * passed, 0.0)
+            max(ahead + abs(goal - before) - self._speed * passed, 0.0)
             for ahead, before, goal in zip(self._ahead, self._goals, goals, strict=True)
         ]
         self._goals, self._at = tuple(goals), now
@@ -383,11 +380,11 @@ class JointWatch:
             most = [max(*pair) for pair in zip(most, torques, strict=True)] if torques else most
             for index, (start, angle) in enumerate(zip(before, angles, strict=True)):
                 turn, seconds = abs(angle - start), max(time - since, 0.0)
-                ahead[index] = max(ahead[index] + turn - JOINT_SPEED * seconds, 0.0)
-                if ahead[index] > 2.0 * self.lead(most[index]) and turn > JOINT_SPEED * seconds:
+                ahead[index] = max(ahead[index] + turn - self._speed * seconds, 0.0)
+                if ahead[index] > 2.0 * self.lead(most[index]) and turn > self._speed * seconds:
                     raise TrajectoryRefused(
                         f"point {number}: joint {index} would turn by {turn:.2f} rad within {seconds:.3f} s, faster "
-                        f"than {JOINT_SPEED} rad/s; give it more time"
+                        f"than {self._speed} rad/s; give it more time"
                     )
 
     def fault(

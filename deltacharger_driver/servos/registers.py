@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The servos' registers as data, their units as pure functions, and the blocks that are exchanged in a cycle.
 
-Addresses, sizes, defaults and units are from the vendor's e-manual for MX-64(2.0).
+Addresses and sizes are from the vendor's e-manual for MX-64(2.0); what differs between types is in
+deltacharger_core/servo_types.py.
 """
 
 from __future__ import annotations
 
+import functools
 import math
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from deltacharger_core.machine import (
@@ -17,24 +19,14 @@ from deltacharger_core.machine import (
     GAIN_MAX,
     JOINT_MAX,
     JOINT_MIN,
-    POSITION_D_GAIN,
-    POSITION_P_GAIN,
     SERVO_IDS,
-    STALL_CURRENT,
     TICKS_PER_TURN,
 )
+from deltacharger_core.servo_types import MX_64, ServoType
 from deltacharger_driver.errors import DriverError, RangeError
 from deltacharger_driver.parameters import REPLY_MARGIN
 
-MODEL = 311
-"""Model number of an MX-64 with Protocol 2.0 firmware."""
-MODEL_PROTOCOL_1 = 310
-"""Model number of an MX-64 with Protocol 1.0 firmware: other registers, no sync read, no current in mode 5."""
-
 TICK = 2.0 * math.pi / TICKS_PER_TURN  # rad
-CURRENT_UNIT = 3.36e-3  # A
-VELOCITY_UNIT = 0.229 * 2.0 * math.pi / 60.0  # rad/s
-VOLTAGE_UNIT = 0.1  # V
 WATCHDOG_UNIT = 0.02  # s
 WATCHDOG_TRIPPED = 255  # −1 in one byte
 
@@ -83,7 +75,7 @@ WRITE_BLOCK = ("goal_current", "goal_position")
 HOTTEST = 125
 """°C; beyond it the servo's electronics would not answer."""
 CURRENT_SPAN = 2047
-"""Range of the servo's current sensor, in counts of 3.36 mA, of either sign."""
+"""Range of the servo's current sensor, in counts, of either sign."""
 LOWEST_VOLTAGE, HIGHEST_VOLTAGE = 40, 300
 """Units of 0.1 V: below, a servo does not run; the battery before its regulator never exceeds the upper value."""
 LONGEST_WATCHDOG = 127
@@ -144,64 +136,71 @@ def _fixed(address: int, size: int, default: int, signed: bool = False, eeprom: 
     return Register(address, size, default, False, signed, eeprom)
 
 
-REGISTERS: dict[str, Register] = {
-    "model": _fixed(0, 2, MODEL, eeprom=True),
-    "model_information": _fixed(2, 4, 0, eeprom=True),
-    "firmware": _fixed(6, 1, 45, eeprom=True),
-    "id": _eeprom(7, 1, 1, 0, 252),
-    "baud": _eeprom(8, 1, 1, 0, 7),
-    "return_delay": _eeprom(9, 1, 250, 0, 254),
-    "drive_mode": _eeprom(10, 1, 0, 0, 5),
-    "operating_mode": _eeprom(11, 1, 3, 0, 16),
-    "secondary_id": _eeprom(12, 1, 255, 0, 255),
-    "protocol": _eeprom(13, 1, 2, 1, 2),
-    "homing_offset": _eeprom(20, 4, 0, -1_044_479, 1_044_479, True),
-    "moving_threshold": _eeprom(24, 4, 10, 0, 1023),
-    "temperature_limit": _eeprom(31, 1, 80, 0, 100),
-    "max_voltage": _eeprom(32, 2, 160, 95, 160),
-    "min_voltage": _eeprom(34, 2, 95, 95, 160),
-    "pwm_limit": _eeprom(36, 2, 885, 0, 885),
-    "current_limit": _eeprom(38, 2, 1941, 0, 1941),
-    "acceleration_limit": _eeprom(40, 4, 32767, 0, 32767),
-    "velocity_limit": _eeprom(44, 4, 285, 0, 1023),
-    "max_position": _eeprom(48, 4, 4095, 0, 4095),
-    "min_position": _eeprom(52, 4, 0, 0, 4095),
-    "shutdown": _eeprom(63, 1, 52, 0, 61),
-    "torque_enable": _ram(64, 1, 0, 0, 1),
-    "led": _ram(65, 1, 0, 0, 1),
-    "status_return_level": _ram(68, 1, 2, 0, 2),
-    "registered": _fixed(69, 1, 0),
-    "hardware_error": _fixed(70, 1, 0),
-    "velocity_i_gain": _ram(76, 2, 1920, 0, GAIN_MAX),
-    "velocity_p_gain": _ram(78, 2, 100, 0, GAIN_MAX),
-    "position_d_gain": _ram(80, 2, 0, 0, GAIN_MAX),
-    "position_i_gain": _ram(82, 2, 0, 0, GAIN_MAX),
-    "position_p_gain": _ram(84, 2, 850, 0, GAIN_MAX),
-    "feedforward_2_gain": _ram(88, 2, 0, 0, GAIN_MAX),
-    "feedforward_1_gain": _ram(90, 2, 0, 0, GAIN_MAX),
-    "bus_watchdog": _ram(98, 1, 0, 0, 127),
-    "goal_pwm": _ram(100, 2, 885, -885, 885, True),
-    "goal_current": _ram(102, 2, 1941, -1941, 1941, True),
-    "goal_velocity": _ram(104, 4, 0, -1023, 1023, True),
-    "profile_acceleration": _ram(108, 4, 0, 0, 32767),
-    "profile_velocity": _ram(112, 4, 0, 0, 32767),
-    "goal_position": _ram(116, 4, 0, -EXTENDED_TICKS, EXTENDED_TICKS, True),
-    "realtime_tick": _fixed(120, 2, 0),
-    "moving": _fixed(122, 1, 0),
-    "moving_status": _fixed(123, 1, 0),
-    "present_pwm": _fixed(124, 2, 0, True),
-    "present_current": _fixed(126, 2, 0, True),
-    "present_velocity": _fixed(128, 4, 0, True),
-    "present_position": _fixed(132, 4, 0, True),
-    "velocity_trajectory": _fixed(136, 4, 0, True),
-    "position_trajectory": _fixed(140, 4, 0, True),
-    "input_voltage": _fixed(144, 2, 0),
-    "temperature": _fixed(146, 1, 0),
-}
-"""The control table by name; the indirect registers are `indirect_address` and `indirect_data`."""
+@functools.cache
+def registers_of(servo: ServoType) -> dict[str, Register]:
+    """Return the control table of a type by name, without the indirect registers; do not change it.
 
-LARGEST_CURRENT = REGISTERS["current_limit"].high * CURRENT_UNIT
-"""A, the largest that the registers accept."""
+    Addresses and sizes are those of the vendor's X series and the same for every type.
+    """
+    every = {
+        "model": _fixed(0, 2, servo.model, eeprom=True),
+        "model_information": _fixed(2, 4, 0, eeprom=True),
+        "firmware": _fixed(6, 1, 45, eeprom=True),
+        "id": _eeprom(7, 1, 1, 0, 252),
+        "baud": _eeprom(8, 1, 1, 0, 7),
+        "return_delay": _eeprom(9, 1, 250, 0, 254),
+        "drive_mode": _eeprom(10, 1, 0, 0, 5),
+        "operating_mode": _eeprom(11, 1, 3, 0, 16),
+        "secondary_id": _eeprom(12, 1, 255, 0, 255),
+        "protocol": _eeprom(13, 1, 2, 1, 2),
+        "homing_offset": _eeprom(20, 4, 0, -1_044_479, 1_044_479, True),
+        "moving_threshold": _eeprom(24, 4, 10, 0, 1023),
+        "temperature_limit": _eeprom(31, 1, servo.temperature_limit, 0, 100),
+        "max_voltage": _eeprom(32, 2, servo.voltage_max, servo.voltage_min, servo.voltage_max),
+        "min_voltage": _eeprom(34, 2, servo.voltage_min, servo.voltage_min, servo.voltage_max),
+        "pwm_limit": _eeprom(36, 2, servo.pwm_limit, 0, servo.pwm_limit),
+        "current_limit": _eeprom(38, 2, servo.current_limit, 0, servo.current_limit),
+        "acceleration_limit": _eeprom(40, 4, 32767, 0, 32767),
+        "velocity_limit": _eeprom(44, 4, servo.velocity_limit, 0, 1023),
+        "max_position": _eeprom(48, 4, 4095, 0, 4095),
+        "min_position": _eeprom(52, 4, 0, 0, 4095),
+        "shutdown": _eeprom(63, 1, 52, 0, 61),
+        "torque_enable": _ram(64, 1, 0, 0, 1),
+        "led": _ram(65, 1, 0, 0, 1),
+        "status_return_level": _ram(68, 1, 2, 0, 2),
+        "registered": _fixed(69, 1, 0),
+        "hardware_error": _fixed(70, 1, 0),
+        "velocity_i_gain": _ram(76, 2, 1920, 0, GAIN_MAX),
+        "velocity_p_gain": _ram(78, 2, 100, 0, GAIN_MAX),
+        "position_d_gain": _ram(80, 2, 0, 0, GAIN_MAX),
+        "position_i_gain": _ram(82, 2, 0, 0, GAIN_MAX),
+        "position_p_gain": _ram(84, 2, servo.position_p_gain, 0, GAIN_MAX),
+        "feedforward_2_gain": _ram(88, 2, 0, 0, GAIN_MAX),
+        "feedforward_1_gain": _ram(90, 2, 0, 0, GAIN_MAX),
+        "bus_watchdog": _ram(98, 1, 0, 0, 127),
+        "goal_pwm": _ram(100, 2, servo.pwm_limit, -servo.pwm_limit, servo.pwm_limit, True),
+        "goal_current": _ram(102, 2, servo.current_limit, -servo.current_limit, servo.current_limit, True),
+        "goal_velocity": _ram(104, 4, 0, -1023, 1023, True),
+        "profile_acceleration": _ram(108, 4, 0, 0, 32767),
+        "profile_velocity": _ram(112, 4, 0, 0, 32767),
+        "goal_position": _ram(116, 4, 0, -EXTENDED_TICKS, EXTENDED_TICKS, True),
+        "realtime_tick": _fixed(120, 2, 0),
+        "moving": _fixed(122, 1, 0),
+        "moving_status": _fixed(123, 1, 0),
+        "present_pwm": _fixed(124, 2, 0, True),
+        "present_current": _fixed(126, 2, 0, True),
+        "present_velocity": _fixed(128, 4, 0, True),
+        "present_position": _fixed(132, 4, 0, True),
+        "velocity_trajectory": _fixed(136, 4, 0, True),
+        "position_trajectory": _fixed(140, 4, 0, True),
+        "input_voltage": _fixed(144, 2, 0),
+        "temperature": _fixed(146, 1, 0),
+    }
+    return {name: register for name, register in every.items() if name not in servo.lacks}
+
+
+REGISTERS = registers_of(MX_64)
+"""The control table of the MX-64; the indirect registers are `indirect_address` and `indirect_data`."""
 
 
 def indirect_address(slot: int) -> int:
@@ -248,15 +247,16 @@ def ticks_to_angle(ticks: int, zero_ticks: int, direction: int) -> float:
     return direction * (ticks - zero_ticks) * TICK
 
 
-def current_to_counts(current: float) -> int:
-    """Return a current, A, in counts of 3.36 mA, rounded toward zero so that a bound is never exceeded.
+def current_to_counts(current: float, servo: ServoType) -> int:
+    """Return a current, A, in counts of a type, rounded toward zero so that a bound is never exceeded.
 
     Raises:
         RangeError: outside the registers' range, or not finite.
     """
-    if not -LARGEST_CURRENT <= current <= LARGEST_CURRENT:
-        raise RangeError("current", current, -LARGEST_CURRENT, LARGEST_CURRENT, " A")
-    return int(current / CURRENT_UNIT + math.copysign(1e-9, current))
+    largest = servo.largest_current
+    if not -largest <= current <= largest:
+        raise RangeError("current", current, -largest, largest, " A")
+    return int(current / servo.current_unit + math.copysign(1e-9, current))
 
 
 def describe_hardware_error(bits: int) -> str:
@@ -282,8 +282,33 @@ WRITE_ADDRESS = indirect_data(READ_LENGTH)
 
 
 @dataclass(frozen=True)
+class Drive:
+    """The numbers with which the servos of a type are driven.
+
+    Attributes:
+        servo: their type.
+        torque_constant: N·m/A, converts torque bounds into currents.
+        current_bound: of each servo if a trajectory sets none, A.
+        current_max: largest current bound of any goal, A. A servo with a lower current limit would ignore the whole
+            goal, so the set-up refuses it.
+        gains: P, I and D of the position loop, as in the registers. They are in RAM and lost at a restart.
+    """
+
+    servo: ServoType
+    torque_constant: float
+    current_bound: float
+    current_max: float
+    gains: tuple[int, int, int]
+
+    def __post_init__(self) -> None:
+        for name, most in (("current_max", self.servo.largest_current), ("current_bound", self.current_max)):
+            if not 0.0 <= (value := getattr(self, name)) <= most:
+                raise RangeError(name, value, 0.0, most, " A")
+
+
+@dataclass(frozen=True)
 class BusSettings:
-    """Wiring and mounting of the arm's servos.
+    """Wiring and mounting of the arm's servos, and what is set of their `Drive`; None = as their type has it.
 
     Attributes:
         port: path of the serial port.
@@ -293,9 +318,7 @@ class BusSettings:
         direction: per servo, +1 if the count rises with the angle, −1 if it falls.
         watchdog: units of 20 ms, 1–6.
         reply_margin: s, see `parameters.REPLY_MARGIN`.
-        current_max: largest current bound of any goal, A. A servo with a lower current limit would ignore the whole
-            goal, so the set-up refuses it.
-        gains: P, I and D of the position loop, as in the registers. They are in RAM and lost at a restart.
+        torque_constant, current_bound, current_max, gains: as in `Drive`.
         joint_min, joint_max: range of the arms' angles, rad.
     """
 
@@ -306,8 +329,10 @@ class BusSettings:
     direction: tuple[int, ...] = (1, 1, 1)
     watchdog: int = WATCHDOG
     reply_margin: float = REPLY_MARGIN
-    current_max: float = STALL_CURRENT
-    gains: tuple[int, int, int] = (POSITION_P_GAIN, 0, POSITION_D_GAIN)
+    torque_constant: float | None = None
+    current_bound: float | None = None
+    current_max: float | None = None
+    gains: tuple[int | None, int | None, int | None] = (None, None, None)
     joint_min: float = JOINT_MIN
     joint_max: float = JOINT_MAX
 
@@ -327,12 +352,22 @@ class BusSettings:
             raise DriverError(f"direction {self.direction}: each value is 1 or -1")
         if not 1 <= self.watchdog <= WATCHDOG:
             raise RangeError("watchdog", self.watchdog, 1, WATCHDOG, " × 20 ms")
-        if not 0.0 <= self.current_max <= LARGEST_CURRENT:
-            raise RangeError("current_max", self.current_max, 0.0, LARGEST_CURRENT, " A")
         for name, gain in zip(GAINS, self.gains, strict=True):
             register = REGISTERS[name]
-            if not register.low <= gain <= register.high:
+            if gain is not None and not register.low <= gain <= register.high:
                 raise RangeError(name, gain, register.low, register.high)
+
+    def drive(self, servo: ServoType) -> Drive:
+        """Return the numbers for servos of a type.
+
+        Raises:
+            RangeError: a current is beyond the type's registers, or the bound beyond the largest.
+        """
+        usual = Drive(servo, servo.torque_constant, servo.current_bound, servo.stall_current, servo.gains)
+        names = ("torque_constant", "current_bound", "current_max")
+        given = {name: value for name in names if (value := getattr(self, name)) is not None}
+        p, i, d = (own if gain is None else gain for gain, own in zip(self.gains, usual.gains, strict=True))
+        return replace(usual, **given, gains=(p, i, d))
 
 
 class Reading(NamedTuple):
@@ -355,8 +390,8 @@ def has_restarted(data: bytes) -> bool:
     return not any(data)
 
 
-def decode_block(data: bytes) -> Reading:
-    """Read the `READ_LENGTH` bytes of a read block.
+def decode_block(data: bytes, servo: ServoType) -> Reading:
+    """Read the `READ_LENGTH` bytes of a read block of a type.
 
     Raises:
         RangeError: names the first impossible value; the whole block must be discarded.
@@ -369,11 +404,11 @@ def decode_block(data: bytes) -> Reading:
     if torque > 1:
         raise RangeError("torque_enable", torque, 0, 1)
     if not -CURRENT_SPAN <= current <= CURRENT_SPAN:
-        span = CURRENT_SPAN * CURRENT_UNIT
-        raise RangeError("present_current", current * CURRENT_UNIT, -span, span, " A")
+        span = CURRENT_SPAN * servo.current_unit
+        raise RangeError("present_current", current * servo.current_unit, -span, span, " A")
     if not LOWEST_VOLTAGE <= voltage <= HIGHEST_VOLTAGE:
-        low, high = LOWEST_VOLTAGE * VOLTAGE_UNIT, HIGHEST_VOLTAGE * VOLTAGE_UNIT
-        raise RangeError("input_voltage", voltage * VOLTAGE_UNIT, low, high, " V")
+        low, high = LOWEST_VOLTAGE * servo.voltage_unit, HIGHEST_VOLTAGE * servo.voltage_unit
+        raise RangeError("input_voltage", voltage * servo.voltage_unit, low, high, " V")
     if temperature > HOTTEST:
         raise RangeError("temperature", temperature, 0, HOTTEST, " °C")
     if LONGEST_WATCHDOG < watchdog < WATCHDOG_TRIPPED:

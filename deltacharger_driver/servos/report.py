@@ -8,18 +8,14 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from deltacharger_core.servo_types import ServoType
 from deltacharger_driver.servos.bus import UNKNOWN, UNKNOWN_AFTER, BusSnapshot
 from deltacharger_driver.servos.registers import describe_hardware_error
 
-TIME_CONSTANT = 4000.0
-"""τ, s."""
-HEAT_LIMIT = 9.0 * TIME_CONSTANT * -math.expm1(-120.0 / TIME_CONSTANT)
-"""H, A²s: the heat after 120 s at 3 A."""
 REST_TEMPERATURE = 25.0  # °C, where the heat is 0
-LIMIT_TEMPERATURE = 80.0  # °C, the servo's own temperature limit, where the heat is assumed to be H
 
 
-def reserve(heat: float, current: float) -> float:
+def reserve(heat: float, current: float, servo: ServoType) -> float:
     """Return the time for which `current` may flow until the limit, s; 0 at the limit, inf if never reached.
 
     h(t) = i²τ + (h − i²τ) e^(−t/τ) = H, solved for t. An unknown current or heat (NaN) gives NaN.
@@ -27,21 +23,24 @@ def reserve(heat: float, current: float) -> float:
     Args:
         heat: present heat above rest, A²s.
         current: present current, A, of either sign.
+        servo: its type, which has τ and H.
     """
     if math.isnan(heat) or math.isnan(current):
         return math.nan
-    if heat >= HEAT_LIMIT:
+    limit, constant = servo.heat_limit, servo.heat_constant
+    if heat >= limit:
         return 0.0
-    final = current * current * TIME_CONSTANT
-    if final <= HEAT_LIMIT:
+    final = current * current * constant
+    if final <= limit:
         return math.inf
-    return TIME_CONSTANT * math.log((final - heat) / (final - HEAT_LIMIT))
+    return constant * math.log((final - heat) / (final - limit))
 
 
 class ThermalModel:
     """The heat of one servo: an I²t model with cooling, in addition to its temperature.
 
-    The heat h (A²s) above rest follows dh/dt = i² − h/τ; its limit is H. Two constants rest on three statements:
+    The heat h (A²s) above rest follows dh/dt = i² − h/τ; its limit H is reached where the servo's own temperature limit
+    is. The MX-64's two constants rest on three statements:
     - Several amperes overheat the servo in minutes: at 3 A the limit must be reached in 60–180 s; 120 s is assumed.
     - The real charger held 0.5 A for four hours: at 0.5 A the limit must never be reached, so τ · 0.5² < H.
     - About 0.8 A can be held for about 40 min.
@@ -52,11 +51,13 @@ class ThermalModel:
     An unknown current counts as the last known one, so that missing data never cool the model.
 
     Args:
+        servo: its type.
         smoothing: time constant of the current in `reserve`, s; 0 = none. The heat uses the unsmoothed current.
     """
 
-    def __init__(self, smoothing: float = 0.5) -> None:
+    def __init__(self, servo: ServoType, smoothing: float = 0.5) -> None:
         self.heat = 0.0
+        self._servo = servo
         self._smoothing = smoothing
         self._square = math.nan
         self._mean_square = math.nan
@@ -65,8 +66,8 @@ class ThermalModel:
         """Set the heat from the servo's temperature, °C, so that a restart does not lose it."""
         if math.isnan(temperature):
             return
-        share = (temperature - REST_TEMPERATURE) / (LIMIT_TEMPERATURE - REST_TEMPERATURE)
-        self.heat = min(max(share, 0.0), 1.0) * HEAT_LIMIT
+        share = (temperature - REST_TEMPERATURE) / (self._servo.temperature_limit - REST_TEMPERATURE)
+        self.heat = min(max(share, 0.0), 1.0) * self._servo.heat_limit
 
     def update(self, current: float, elapsed: float) -> None:
         """Apply `current` (A, NaN = unknown) for `elapsed` s.
@@ -77,8 +78,9 @@ class ThermalModel:
             self._square = current * current
         if math.isnan(self._square):
             return
-        final = self._square * TIME_CONSTANT
-        self.heat = final + (self.heat - final) * math.exp(-elapsed / TIME_CONSTANT)
+        constant = self._servo.heat_constant
+        final = self._square * constant
+        self.heat = final + (self.heat - final) * math.exp(-elapsed / constant)
         if math.isnan(self._mean_square) or self._smoothing <= 0.0:
             self._mean_square = self._square
         else:
@@ -89,7 +91,7 @@ class ThermalModel:
 
         NaN before the first current is known.
         """
-        return reserve(self.heat, math.sqrt(self._mean_square))
+        return reserve(self.heat, math.sqrt(self._mean_square), self._servo)
 
 
 class ServoPhase(enum.Enum):
@@ -132,11 +134,11 @@ class ServoReport(NamedTuple):
 
 
 class ServoMemory:
-    """The last known state of `count` servos."""
+    """The last known state of `count` servos of a type."""
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, count: int, servo: ServoType) -> None:
         self._time = math.nan
-        self._thermal = [ThermalModel() for _ in range(count)]
+        self._thermal = [ThermalModel(servo) for _ in range(count)]
         self._rows: list[tuple[float, ...]] = [UNKNOWN] * count
         self._valid = (False,) * count
         self._errors = (0,) * count

@@ -9,6 +9,8 @@ Parameters: port, baud_rate, ids, rate, zero_ticks, direction, current_bound, cu
 reply_margin, frame_prefix, joint_prefix; servos_file or torque_constant, position_p_gain, position_i_gain,
 position_d_gain.
 
+Of torque_constant, current_bound, current_max and the gains, what nobody sets is as the servos' type has it.
+
 Safe at start: torque is off; only set_torque switches it on, holding the present position. A missing servo, a latched
 hardware error or a lost port stops all servos: goal := present position, contactor open, torque off after 0.5 s. On
 request and at the node's end, torque goes off once the contactor is reported open, after 0.3 s at the latest. A
@@ -51,8 +53,9 @@ from deltacharger_core.frames import CHARGER_BASE, JointFrameParameters
 from deltacharger_core.host_clock import AHEAD
 from deltacharger_core.machine import BEHIND_BOARD, JOINTS, PROBE_LIFETIME, ZERO_CURRENT
 from deltacharger_core.real_time import RateMeter
+from deltacharger_core.servo_types import MX_64
 from deltacharger_driver.errors import DriverError, NoServosBehindBoard, TrajectoryRefused
-from deltacharger_driver.parameters import BOARD_MARGIN, SERVOS_FOLLOW, ServoNodeParameters
+from deltacharger_driver.parameters import BOARD_MARGIN, OF_TYPE, SERVOS_FOLLOW, ServoNodeParameters
 from deltacharger_driver.servos.controller import RefusedTrajectories, ServoController, bus_entry, servo_entry
 from deltacharger_driver.servos.motion import (
     ContactorState,
@@ -63,7 +66,7 @@ from deltacharger_driver.servos.motion import (
     check,
     check_age,
 )
-from deltacharger_driver.servos.registers import BusSettings
+from deltacharger_driver.servos.registers import BusSettings, Drive
 from deltacharger_driver.servos.report import ServoPhase, ServoReport
 from deltacharger_ros import node_support
 from deltacharger_ros.clock import Stamps, stamp_age
@@ -73,7 +76,7 @@ from deltacharger_ros.executor import order_age
 from deltacharger_ros.log import Log
 from deltacharger_ros.messages import seconds
 from deltacharger_ros.on_demand import BoundedTopic, Received
-from deltacharger_ros.parameters import declare_all, declare_with_servos, reject_unknown
+from deltacharger_ros.parameters import declare_all, declare_with_servos, reject_unknown, show_values, was_given
 from deltacharger_ros.qos import LATEST, SERVICE
 
 KEPT = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=64, reliability=ReliabilityPolicy.RELIABLE)
@@ -180,15 +183,11 @@ class StatePublishers:
     Args:
         node: the publisher.
         qos: of servo_state.
-        torque_constant: N·m/A, for the efforts of joint_states.
         frame_id: full name of charger_base.
         joint_prefix: prefix of the names in joint_states.
     """
 
-    def __init__(
-        self, node: Node, qos: QoSProfile, torque_constant: float, frame_id: str, joint_prefix: str = ""
-    ) -> None:
-        self._torque_constant = torque_constant
+    def __init__(self, node: Node, qos: QoSProfile, frame_id: str, joint_prefix: str = "") -> None:
         self._cycle = 0
         self._joints_wanted = False
         self._state = ServoState(name=list(JOINTS))
@@ -198,8 +197,11 @@ class StatePublishers:
         self._states = node.create_publisher(ServoState, "servo_state", qos)
         self._joints = node.create_publisher(JointState, "joint_states", 10)
 
-    def publish(self, report: ServoReport) -> None:
-        """Publish the state after a cycle; joint_states only if all angles are known and it has subscribers."""
+    def publish(self, report: ServoReport, torque_constant: float) -> None:
+        """Publish the state after a cycle; joint_states only if all angles are known and it has subscribers.
+
+        Its efforts are currents times `torque_constant` (N·m/A).
+        """
         state, stamp = self._state, self._stamps.at(report.time)
         state.header.stamp = stamp
         state.position, state.velocity = array("d", report.angle), array("d", report.velocity)
@@ -215,7 +217,7 @@ class StatePublishers:
         if self._joints_wanted and not math.isnan(sum(report.angle)):
             joint = self._joint
             joint.header.stamp, joint.position, joint.velocity = stamp, state.position, state.velocity
-            joint.effort = array("d", [current * self._torque_constant for current in report.current])
+            joint.effort = array("d", [current * torque_constant for current in report.current])
             self._joints.publish(joint)
 
 
@@ -343,9 +345,11 @@ class ServoNode(Node):
         self._lines = Log(self)
         self._contactor = ContactorClient(self)
         frames = declare_all(self, JointFrameParameters)
-        self._controller, self._limits = self._configure()
+        given = declare_with_servos(self, ServoNodeParameters, SERVOS_FOLLOW)
+        reject_unknown(self)
+        self._controller = self._configure(given)
         base = frames.named(CHARGER_BASE)
-        self._states = StatePublishers(self, LATEST, self._torque_constant, base, frames.joint_prefix)
+        self._states = StatePublishers(self, LATEST, base, frames.joint_prefix)
         self._diagnostics = Diagnostics(self)
         self._contactor_state = ContactorState.UNKNOWN
         self._refused = 0  # refused trajectories that the diagnostics have reported
@@ -363,8 +367,11 @@ class ServoNode(Node):
             raise node_support.StartupError(f"servo_node: {self._start_error}") from self._start_error
         settings = self._controller.bus.settings
         self._lines.info(f"servos {settings.ids} at {settings.port}, {settings.baud_rate} baud")
+        drive = self._controller.bus.drive
+        self._tell_type(drive)
         # Only now: no trajectory may be accepted before the servos are known.
-        self._inbox = TrajectoryInbox(self, self._limits)
+        largest = drive.current_max * drive.torque_constant * (1.0 + 1e-9)
+        self._inbox = TrajectoryInbox(self, JointLimits(JOINTS, given.joint_min, given.joint_max, largest))
         self._listening.set()
         group = ReentrantCallbackGroup()
         self.create_service(SetBool, "set_torque", self._on_set_torque, callback_group=group, qos_profile=SERVICE)
@@ -375,10 +382,11 @@ class ServoNode(Node):
         self._stop.set()
         self._thread.join()
 
-    def _configure(self) -> tuple[ServoController, JointLimits]:
-        """Declare the parameters and build the controller."""
-        given = declare_with_servos(self, ServoNodeParameters, SERVOS_FOLLOW)
-        reject_unknown(self)
+    def _configure(self, given: ServoNodeParameters) -> ServoController:
+        """Build the controller; parameters in `OF_TYPE` that nobody set are left to the servos' type."""
+        measured = SERVOS_FOLLOW if self.get_parameter("servos_file").value else {}
+        self._unset = {name for name in OF_TYPE if name not in measured and not was_given(self, name)}
+        chosen = {name: None if name in self._unset else getattr(given, name) for name in OF_TYPE}
         try:
             settings = BusSettings(
                 self._path_of(given.port),
@@ -387,20 +395,29 @@ class ServoNode(Node):
                 given.zero_ticks,
                 given.direction,
                 reply_margin=given.reply_margin + BOARD_MARGIN * self._is_behind_board,
-                current_max=given.current_max,
-                gains=(given.position_p_gain, given.position_i_gain, given.position_d_gain),
+                torque_constant=chosen["torque_constant"],
+                current_bound=chosen["current_bound"],
+                current_max=chosen["current_max"],
+                gains=(chosen["position_p_gain"], chosen["position_i_gain"], chosen["position_d_gain"]),
                 joint_min=given.joint_min,
                 joint_max=given.joint_max,
             )
         except DriverError as error:
             raise node_support.StartupError(f"servo_node: {error}") from error
         self._period = 1.0 / given.rate
-        self._torque_constant = constant = given.torque_constant
-        largest = given.current_max * constant * (1.0 + 1e-9)
-        return (
-            ServoController(settings, given.current_bound, constant, self._log, contactor=self._contactor),
-            JointLimits(JOINTS, given.joint_min, given.joint_max, largest),
+        return ServoController(settings, self._log, contactor=self._contactor)
+
+    def _tell_type(self, drive: Drive) -> None:
+        """Show what the servos' type decided in the parameters that nobody set, and in the log."""
+        gains = zip(("position_p_gain", "position_i_gain", "position_d_gain"), drive.gains, strict=True)
+        values = {name: getattr(drive, name) for name in ("torque_constant", "current_bound", "current_max")} | dict(
+            gains
         )
+        found = {name: value for name, value in values.items() if name in self._unset}
+        if drive.servo is not MX_64 and found:
+            show_values(self, found)
+            text = ", ".join(f"{name} {value:.4g}" for name, value in found.items())
+            self._lines.info(f"the servos are {drive.servo.name}; by their type {text}")
 
     def _path_of(self, port: str) -> str:
         """Return the path of the parameter `port`."""
@@ -454,7 +471,7 @@ class ServoNode(Node):
                 self._take_trajectory()  # a trajectory from before torque went on is refused, not kept
             report = controller.cycle()
             if self.context.ok():
-                self._states.publish(report)
+                self._states.publish(report, controller.bus.drive.torque_constant)
             if closing and off:
                 return
             now = time.monotonic()
@@ -466,12 +483,11 @@ class ServoNode(Node):
             time.sleep(due - now)
 
     def _publish_diagnostics(self, report: ServoReport) -> None:
-        ids = self._controller.bus.settings.ids
         rate, late = self._cycles.rate(), self._cycles.late
         if report.phase is not ServoPhase.ON:
             self._contactor_state = self._contactor.state()
         entries = [bus_entry(report, self._controller, self._contactor_state.name, self._refusals(), rate, late)]
-        entries += [servo_entry(report, index, ids[index], joint) for index, joint in enumerate(JOINTS)]
+        entries += [servo_entry(report, index, self._controller, joint) for index, joint in enumerate(JOINTS)]
         port = self._controller.bus.settings.port
         self._diagnostics.publish(*(self._diagnostics.status(*entry, port) for entry in entries))
 

@@ -31,6 +31,7 @@ from deltacharger_core.machine import (
     STIFFNESS_PER_GAIN,
 )
 from deltacharger_core.script import NEXT, Script
+from deltacharger_core.servo_types import MX_64
 from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.codes import State
 from deltacharger_docking.context import Context
@@ -156,7 +157,8 @@ class VirtualCharger:
         self._frame_at = -math.inf
         stiffness, damping = self.parameters.servo_stiffness, SERVO_DAMPING
         gains = round(stiffness / STIFFNESS_PER_GAIN), 0, round(damping / DAMPING_PER_GAIN)
-        self._watch = JointWatch(BusSettings("", gains=gains), self.parameters.torque_constant)
+        settings = BusSettings("", gains=gains, torque_constant=self.parameters.torque_constant)
+        self._watch = JointWatch(settings, settings.drive(MX_64))
         self._stopped, self._stop_at = "", math.inf  # why and until when servo_node stops the arm
 
     def _make_world(self, world: WorldParameters, tactile: TactileSource, seed: int) -> World:

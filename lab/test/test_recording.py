@@ -15,8 +15,8 @@ import pytest
 from deltacharger_bringup.cli.main import main
 from deltacharger_bringup.cli.output import DONE, FAILED
 from deltacharger_core.machine import DOCKING_JITTER
+from deltacharger_core.servo_types import MX_64
 from deltacharger_docking.codes import DockingError
-from deltacharger_driver.servos.registers import CURRENT_UNIT
 from deltacharger_lab.campaigns import recording
 from deltacharger_lab.campaigns.recording import Protocol, record_paper, record_part
 from deltacharger_lab.training import __main__ as training
@@ -70,7 +70,7 @@ def test_the_felt_offset_is_the_commanded_one_less_what_the_magnets_draw_apart_f
     drawn = np.where(wanted < 0.0, off, -off)[:, :2]
     assert ((drawn > -slack) & (drawn < np.abs(wanted[:, :2]) + slack)).all(), "toward the centre and not beyond"
     assert np.abs(off[:, 2]).max() < np.radians(1.0)
-    near = CURRENT_UNIT  # the band was reached before the frames
+    near = MX_64.current_unit  # the band was reached before the frames
     assert ((data.current > 0.4 - near) & (data.current < 0.5 + near)).all()
     assert (data.force > 15.0).all()
 

@@ -23,6 +23,7 @@ from deltacharger_core import host_clock
 from deltacharger_core.charge_port import ChargeLimits, Port
 from deltacharger_core.parameters import ParameterError, declared
 from deltacharger_core.script import NEXT
+from deltacharger_core.servo_types import MX_64, XM430_W350, ServoType
 from deltacharger_core.servos_file import MeasuredServo
 from deltacharger_docking import (
     algorithm,
@@ -744,12 +745,12 @@ def follows(time: float = 1.0, angle: float = 0.0, torque: float = 1.0, points: 
 
 def measures(torque: int = 1, current: int = 0, voltage: int = 120, temperature: int = 40, watchdog: int = 6) -> bool:
     block = struct.pack("<BBhiiHBBBB", torque, 0, current, 0, 2048, voltage, temperature, watchdog, 2, 0)
-    return passes(registers.decode_block, block)
+    return passes(registers.decode_block, block, MX_64)
 
 
-def heated(temperature: float, current: float = 3.0) -> float:
+def heated(temperature: float, current: float = 3.0, servo: ServoType = MX_64) -> float:
     """Return the reserve (s) of a servo that starts at this temperature (°C) with this current (A)."""
-    model = report.ThermalModel()
+    model = report.ThermalModel(servo)
     model.start_at(temperature)
     model.update(current, 0.0)
     return model.reserve()
@@ -776,11 +777,14 @@ SERVOS = (
     Limit(
         "goal, turns", lambda v: passes(registers.angle_to_ticks, v * math.tau, 0, 1), 255.9, 256.1, (NAN, INF, -INF)
     ),
-    Limit("bound, A", lambda v: passes(registers.current_to_counts, v), 6.5, 6.6, (NAN, INF)),
+    Limit("bound, A", lambda v: passes(registers.current_to_counts, v, MX_64), 6.5, 6.6, (NAN, INF)),
     Limit("time at 3 A, s", lambda v: heated(25.0) > v, 119.9, 120.1),
     Limit("time at 3 A from below 25 °C, s", lambda v: heated(-10.0) > v, 119.9, 120.1),
     Limit("hottest, °C", lambda v: heated(v) > 0.0, 79.9, 80.1, (INF,)),
     Limit("current for ever, A", lambda v: heated(25.0, v) == INF, 0.51, 0.52),
+    Limit("XM430: bound, A", lambda v: passes(registers.current_to_counts, v, XM430_W350), 3.2, 3.22, (NAN, INF)),
+    Limit("XM430: time at 1.8 A, s", lambda v: heated(25.0, 1.8, XM430_W350) > v, 119.9, 120.1),
+    Limit("XM430: current for ever, A", lambda v: heated(25.0, v, XM430_W350) == INF, 0.3, 0.31),
 )
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from deltacharger_core.machine import SERVO_DAMPING, TORQUE_CONSTANT
 from deltacharger_core.script import Script
+from deltacharger_core.servo_types import MX_64
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.contact_current import ContactCurrent
 from deltacharger_docking.context import Context
@@ -263,10 +264,10 @@ def test_every_servo_can_hold_its_pressing_current_for_hours(
     eased = dict(decisions(sent, "eased")[0].values)
     assert eased["slip_m"] < 0.2 * MILLIMETRE, "one count of an encoder at most"
     assert hottest < 0.57
-    model = ThermalModel()
+    model = ThermalModel(MX_64)
     model.update(hottest, HELD)
     assert model.reserve() > 0.0
-    before = ThermalModel()
+    before = ThermalModel(MX_64)
     before.update(eased["hottest_before_A"], HELD)
     assert before.reserve() == 0.0, "with the weight on the servos it would have been too much"
 

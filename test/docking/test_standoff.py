@@ -15,11 +15,12 @@ from typing import Any
 import pytest
 
 from deltacharger_core.machine import SERVO_INERTIA, TORQUE_CONSTANT
+from deltacharger_core.servo_types import MX_64
 from deltacharger_docking import standoff
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.context import Context
 from deltacharger_docking.observation import NAN3, DockGoal
-from deltacharger_driver.servos.registers import CURRENT_UNIT, TICK
+from deltacharger_driver.servos.registers import TICK
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.swing import fit_swing, swing_readings
 from deltacharger_sim.parameters import CableParameters, MagnetParameters, ServoParameters, StandParameters
@@ -39,7 +40,7 @@ def swing(draw: random.Random, goal: float = 0.09, friction: float = 0.12) -> li
         if step % 100 == 0:
             counts = [round(angle / TICK) * TICK for angle in angles]
             noisy = [torque / TORQUE_CONSTANT + draw.gauss(0.0, 0.01) for torque in torques]
-            currents = [round(current / CURRENT_UNIT) * CURRENT_UNIT for current in noisy]
+            currents = [round(current / MX_64.current_unit) * MX_64.current_unit for current in noisy]
             seen.append((step * dt, tuple(counts), tuple(currents)))
         for index, torque in enumerate(torques):
             rubbed = torque - friction if rates[index] >= 0.0 else torque + friction

@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_driver.emulators.bench import BenchArm
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.servos.controller import ServoController, ServoRequest
@@ -35,8 +34,6 @@ class Rig:
         self.torque_when_opened: list[bool] | None = None
         self.controller = ServoController(
             BusSettings(line.path),
-            DEFAULT,
-            TORQUE_CONSTANT,
             lambda *event: self.events.append(event),
             self,
             line.handler,

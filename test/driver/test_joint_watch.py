@@ -22,7 +22,7 @@ from deltacharger_driver.servos.registers import TICK, BusSettings
 from deltacharger_driver.servos.report import ServoPhase
 
 from ..marks import night
-from .servo_rig import DEFAULT, NAMES
+from .servo_rig import NAMES
 from .virtual_line import Clock, Line, RealClock
 
 _BEYOND = 0.09 + 0.03  # rad: what servo_node allows, and what a shaft turns until it has stopped
@@ -55,8 +55,8 @@ def play(seed: int, port: bool) -> tuple[bool, int]:
     refused = 0
     emulator = ServoBusEmulator(arm)
     with PseudoTerminal(emulator) if port else Line(emulator, clock) as line:
-        settings = BusSettings(line.path, zero_ticks=zeros, direction=signs)
-        controller = ServoController(settings, DEFAULT, 1.463, handler=getattr(line, "handler", ServoPort))
+        settings = BusSettings(line.path, torque_constant=1.463, zero_ticks=zeros, direction=signs)
+        controller = ServoController(settings, handler=getattr(line, "handler", ServoPort))
         controller.open()
         request = controller.request("torque_on")
         for _ in range(20):

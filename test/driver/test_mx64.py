@@ -8,6 +8,7 @@ import math
 import pytest
 
 from deltacharger_core.machine import POSITION_P_GAIN, SERVO_STIFFNESS, STIFFNESS_PER_GAIN
+from deltacharger_core.servo_types import MX_64
 from deltacharger_driver import ports
 from deltacharger_driver.errors import RangeError
 from deltacharger_driver.servos import registers
@@ -54,8 +55,8 @@ def test_angle_convention() -> None:
 def test_a_bound_is_never_rounded_up() -> None:
     for tenth_milliampere in range(0, 42_000, 7):
         current = tenth_milliampere * 1e-4
-        assert registers.current_to_counts(current) * registers.CURRENT_UNIT <= current + 1e-9
-        assert registers.current_to_counts(-current) == -registers.current_to_counts(current)
+        assert registers.current_to_counts(current, MX_64) * MX_64.current_unit <= current + 1e-9
+        assert registers.current_to_counts(-current, MX_64) == -registers.current_to_counts(current, MX_64)
 
 
 def test_registers_refuse_too_large_numbers() -> None:
@@ -67,23 +68,23 @@ def test_registers_refuse_too_large_numbers() -> None:
 
 
 def test_usual_currents_last_for_hours_and_half_an_hour() -> None:
-    assert reserve(0.0, 0.5) >= 14_400
-    assert 30 * 60 <= reserve(0.0, 0.8) <= 45 * 60
+    assert reserve(0.0, 0.5, MX_64) >= 14_400
+    assert 30 * 60 <= reserve(0.0, 0.8, MX_64) <= 45 * 60
 
 
 def test_more_current_or_more_heat_never_lasts_longer() -> None:
     currents = [0.01 * n for n in range(400)]
     for heat in (0.0, 300.0, 900.0):
-        times = [reserve(heat, current) for current in currents]
+        times = [reserve(heat, current, MX_64) for current in currents]
         assert times == sorted(times, reverse=True)
     for current in (0.6, 1.0, 3.0):
-        times = [reserve(heat, current) for heat in range(0, 1100, 50)]
+        times = [reserve(heat, current, MX_64) for heat in range(0, 1100, 50)]
         assert times == sorted(times, reverse=True)
 
 
 @pytest.mark.parametrize("current", [0.7, 1.5, 3.0])
 def test_the_model_reaches_the_limit_when_predicted(current: float) -> None:
-    model = ThermalModel(smoothing=0.0)
+    model = ThermalModel(MX_64, smoothing=0.0)
     model.update(current, 0.0)
     promised = model.reserve()
     elapsed = 0.0
@@ -94,7 +95,7 @@ def test_the_model_reaches_the_limit_when_predicted(current: float) -> None:
 
 
 def test_it_cools_without_current() -> None:
-    model = ThermalModel()
+    model = ThermalModel(MX_64)
     model.update(3.0, 60.0)
     hot = model.heat
     model.update(0.0, 4000.0)
@@ -103,7 +104,7 @@ def test_it_cools_without_current() -> None:
 
 
 def test_missing_data_never_cool_the_model() -> None:
-    model = ThermalModel()
+    model = ThermalModel(MX_64)
     model.update(2.0, 10.0)
     before = model.heat
     model.update(math.nan, 10.0)
@@ -111,15 +112,15 @@ def test_missing_data_never_cool_the_model() -> None:
 
 
 def test_unknown_stays_unknown() -> None:
-    model = ThermalModel()
+    model = ThermalModel(MX_64)
     assert math.isnan(model.reserve())
     model.update(math.nan, 1.0)
     assert math.isnan(model.reserve())
-    assert math.isnan(reserve(math.nan, 1.0))
+    assert math.isnan(reserve(math.nan, 1.0, MX_64))
 
 
 def test_a_hot_servo_starts_with_the_heat_of_its_temperature() -> None:
-    model = ThermalModel()
+    model = ThermalModel(MX_64)
     model.start_at(math.nan)
     assert model.heat == 0.0
     model.start_at(80.0)

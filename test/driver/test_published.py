@@ -60,7 +60,7 @@ def report(first: float) -> ServoReport:
 
 
 def test_servo_state_and_joint_states_show_each_report(node: Any) -> None:
-    publishers = StatePublishers(node, QoSProfile(depth=1), 2.0, "charger_base", "left_")
+    publishers = StatePublishers(node, QoSProfile(depth=1), "charger_base", "left_")
     unknown = report(5.0)._replace(angle=(math.nan, 0.0, 0.0))
     for each in (report(0.0), report(90.0), unknown):
         publishers.publish(each)

@@ -8,12 +8,13 @@ from typing import Any
 
 import pytest
 
+from deltacharger_core.servo_types import MX_64
 from deltacharger_driver.emulators.bench import BenchArm
 from deltacharger_driver.emulators.servo import OK, ControlTable
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.errors import DriverError, HandshakeError, NoAnswer, PortGone, RangeError, ServoFault
-from deltacharger_driver.servos.bus import MOTION, ServoBus
-from deltacharger_driver.servos.registers import CURRENT_UNIT, GAINS, REGISTERS, TICK, WATCHDOG, BusSettings
+from deltacharger_driver.servos.bus import ServoBus, motion_registers
+from deltacharger_driver.servos.registers import GAINS, REGISTERS, TICK, WATCHDOG, BusSettings
 
 from .servo_rig import BOUND, OVERLOAD, START
 
@@ -62,7 +63,7 @@ def test_a_bound_above_the_largest_is_refused_and_the_largest_itself_arrives(
     bus.write_goals((-0.1, -0.1, -0.1), (2.8 * (1 + 1e-12),) * 3)
     bus.read()
     assert arm.commands[1][1] == pytest.approx(-0.1, abs=TICK)
-    assert [command[2] for command in arm.commands] == pytest.approx([2.8] * 3, abs=CURRENT_UNIT)
+    assert [command[2] for command in arm.commands] == pytest.approx([2.8] * 3, abs=MX_64.current_unit)
     bus.close()
 
 
@@ -229,14 +230,17 @@ def test_one_rejection_does_not_hide_the_next(
     assert [name in fault for name, fault in zip(names, caught.value.faults, strict=True)] == [True] * 3
 
 
-@pytest.mark.parametrize("name", [*MOTION, *GAINS])
+@pytest.mark.parametrize("name", [*motion_registers(MX_64), *GAINS])
 def test_what_other_software_left_in_a_register_that_acts_on_motion_is_overwritten_or_named(
     line: Any, emulator: ServoBusEmulator, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     emulator.servo(2).table.set(name, 4)
     bus = ServoBus(BusSettings(line.path, gains=(500, 20, 3)), line.handler)
     bus.open()
-    assert emulator.servo(2).table.get(name) == (MOTION | dict(zip(GAINS, (500, 20, 3), strict=True)))[name]
+    assert (
+        emulator.servo(2).table.get(name)
+        == (motion_registers(MX_64) | dict(zip(GAINS, (500, 20, 3), strict=True)))[name]
+    )
     bus.close()
     emulator.servo(2).table.set(name, 4)
     refuse(emulator, {REGISTERS[name].address}, OK, monkeypatch)

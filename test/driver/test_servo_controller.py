@@ -9,10 +9,11 @@ from collections.abc import Callable
 import pytest
 
 from deltacharger_core.machine import POSITION_P_GAIN, TORQUE_CONSTANT
+from deltacharger_core.servo_types import MX_64
 from deltacharger_driver.errors import TrajectoryRefused
 from deltacharger_driver.servos.controller import OPENING_TIME
 from deltacharger_driver.servos.motion import STOP_TIME
-from deltacharger_driver.servos.registers import CURRENT_UNIT, TICK, WATCHDOG
+from deltacharger_driver.servos.registers import TICK, WATCHDOG
 from deltacharger_driver.servos.report import ServoPhase, ServoReport
 
 from ..waiting import host
@@ -276,7 +277,7 @@ def test_effort_bounds_the_current_and_does_not_outlive_its_trajectory(rig: Rig)
     ):
         rig.send(*rows)
         rig.cycle()
-        assert rig.bounds() == pytest.approx(bounds, abs=CURRENT_UNIT)
+        assert rig.bounds() == pytest.approx(bounds, abs=MX_64.current_unit)
 
 
 def test_after_a_pause_of_the_host_the_arm_resumes_from_where_it_stopped(rig: Rig) -> None:

@@ -6,10 +6,11 @@ from __future__ import annotations
 import pytest
 
 from deltacharger_core.machine import POSITION_D_GAIN, POSITION_P_GAIN, SERVO_STIFFNESS
+from deltacharger_core.servo_types import MX_64
 from deltacharger_driver.emulators import servo as table
 from deltacharger_driver.emulators.servo import LIMIT, OK
 from deltacharger_driver.packets import ACTION, BROADCAST, PING, READ, REG_WRITE, SYNC_READ, WRITE
-from deltacharger_driver.servos.registers import CURRENT_UNIT, REGISTERS, TICK, indirect_address, indirect_data
+from deltacharger_driver.servos.registers import REGISTERS, TICK, indirect_address, indirect_data
 
 from .servo_host import Host, parse, words
 
@@ -115,7 +116,7 @@ def test_measurements_in_register_units(host: Host) -> None:
     host.arm.load[0] = -0.6
     host.advance(2.0)
     assert host.read(1, "present_position") == 2048 + round(host.arm.angles[0] / TICK)
-    assert host.read(1, "present_current") * CURRENT_UNIT == pytest.approx(0.41, abs=0.01)
+    assert host.read(1, "present_current") * MX_64.current_unit == pytest.approx(0.41, abs=0.01)
     assert host.read(1, "input_voltage") == 120
     assert host.read(1, "temperature") == 30
 
@@ -128,7 +129,7 @@ def test_the_goal_is_held_within_the_goal_current(host: Host) -> None:
     on, reference, limit, *gains = host.arm.commands[1]
     assert on
     assert reference == pytest.approx(-0.7, abs=TICK)
-    assert limit == pytest.approx(100 * CURRENT_UNIT)
+    assert limit == pytest.approx(100 * MX_64.current_unit)
     assert gains == pytest.approx([850 / POSITION_P_GAIN, 0.0])  # relative to servo_node's; by default nothing brakes
     host.write(2, "goal_position", 2048 + 100)
     host.write(2, "position_d_gain", 2 * POSITION_D_GAIN)

@@ -18,6 +18,7 @@ from unittest.mock import Mock
 import pytest
 from dynamixel_sdk import PortHandler, Protocol2PacketHandler
 
+from deltacharger_core.servo_types import MX_64
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator, status
 from deltacharger_driver.errors import CorruptReply, DriverError, NoAnswer, PortGone, RangeError, WrongThread
 from deltacharger_driver.packets import crc16, instruction_packet, sync_write_packet
@@ -159,7 +160,7 @@ def cycle_until(bus: ServoBus, condition: Any) -> BusSnapshot:
 
 
 def test_the_block_is_decoded_by_its_layout() -> None:
-    assert decode_block(block()) == (True, 0, -119, 5, 2048, 120, 30, 6)
+    assert decode_block(block(), MX_64) == (True, 0, -119, 5, 2048, 120, 30, 6)
     assert len(block()) == READ_LENGTH == 18
 
 
@@ -169,10 +170,10 @@ def test_the_block_is_decoded_by_its_layout() -> None:
 )
 def test_an_impossible_value_is_refused_by_name(changed: dict[str, int], name: str) -> None:
     with pytest.raises(RangeError) as caught:
-        decode_block(block(**changed))
+        decode_block(block(**changed), MX_64)
     assert caught.value.name == name
     assert not has_restarted(block(**changed))
-    assert decode_block(block(watchdog=255))
+    assert decode_block(block(watchdog=255), MX_64)
 
 
 def test_a_restart_is_detected_by_the_lost_configuration_not_by_the_supply() -> None:

@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 
 from deltacharger_core.machine import POSITION_D_GAIN, POSITION_P_GAIN
+from deltacharger_core.servo_types import MX_64
 from deltacharger_driver.emulators.power import Outputs, PortParameters
 from deltacharger_driver.emulators.servo import OK
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
-from deltacharger_driver.servos.registers import CURRENT_UNIT, REGISTERS, TICK
+from deltacharger_driver.servos.registers import REGISTERS, TICK
 from deltacharger_sim.parameters import (
     MagnetParameters,
     TargetParameters,
@@ -158,7 +159,7 @@ class TestServos:
         readings = np.array([still.world.servo(1)[2] for _ in range(2000)])
         assert readings.mean() == pytest.approx(true, abs=1e-3)
         assert readings.std() == pytest.approx(0.008 + share * abs(true), rel=0.1)
-        assert readings / CURRENT_UNIT == pytest.approx(np.round(readings / CURRENT_UNIT), abs=1e-9)
+        assert readings / MX_64.current_unit == pytest.approx(np.round(readings / MX_64.current_unit), abs=1e-9)
 
     def test_positive_torque_turns_toward_the_target(self, arm: ArmFactory) -> None:
         moving = arm(WorldParameters(gravity_y=0.0))
@@ -373,7 +374,7 @@ class TestLatency:
     def test_a_reading_has_its_latency(self, arm: ArmFactory, old: int) -> None:
         world, states = turning(arm, 60, reading_latency=0.005 * old)
         off = np.abs(np.subtract(world.servo(0)[:3], states[-old]))
-        assert np.all(off <= (0.5001 * TICK, 1e-12, 0.5001 * CURRENT_UNIT))
+        assert np.all(off <= (0.5001 * TICK, 1e-12, 0.5001 * MX_64.current_unit))
 
     def test_the_order_of_commands_is_kept(self, arm: ArmFactory) -> None:
         world, _ = turning(arm, 0, command_latency=0.02)

@@ -17,6 +17,7 @@ from deltacharger_bringup.doctor import board as examiner
 from deltacharger_bringup.doctor.findings import Finding
 from deltacharger_bringup.doctor.ports import examine_port
 from deltacharger_bringup.doctor.servos import examine_servos, set_baud
+from deltacharger_core.servo_types import TYPES, ServoType
 from deltacharger_driver import ports
 from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.board.protocol import BoardFault
@@ -207,6 +208,21 @@ def test_two_servos_with_one_id_are_named_and_never_written() -> None:
     with PseudoTerminal(twins) as terminal:
         named(servo_findings(terminal.path), ("wrong", "servo 2", "two servos"))
         named(set_baud(terminal.path, 57600, [2], LIKELY), ("wrong", "servo 2", "two servos"))
+
+
+@pytest.mark.parametrize("kind", TYPES.values(), ids=lambda kind: kind.name)
+def test_servos_of_every_type_are_good_and_a_mixture_is_named(kind: ServoType) -> None:
+    emulator = ServoBusEmulator(BenchArm(), kind=kind)
+    with PseudoTerminal(emulator) as terminal:
+        emulator.line_speed = terminal.speed
+        found = list(examine_servos(terminal.path, 1_000_000, IDS, None, LIKELY))
+        assert not parts(found, "wrong")
+        assert [each.message for each in found if kind.name in each.message and each.part == "servo 3"]
+        other = next(each for each in TYPES.values() if each is not kind)
+        emulator.servo(2).table.set("model", other.model)
+        found = servo_findings(terminal.path)
+    named(found, ("wrong", "servo 2", f"{other}, not {kind} as servo 1"))
+    assert parts(found, "wrong") == {"servo 2"}
 
 
 def test_set_baud_writes_the_speed_and_torque_off_and_nothing_else(servos: ServoBusEmulator, servo_port: str) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from deltacharger_core.servo_types import MX_64, TYPES, ServoType
 from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.errors import DriverError
 from deltacharger_driver.servos.bus import ServoBus, set_up
@@ -21,6 +22,9 @@ from .sites import BoardSite, ServoSite, emulated_board, emulated_servos, firmwa
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    if "servo_kind" in metafunc.fixturenames:
+        others = () if metafunc.config.getoption("--port") else (kind for kind in TYPES.values() if kind is not MX_64)
+        metafunc.parametrize("servo_kind", [MX_64, *map(rest, others)], ids=lambda kind: kind.name)
     if "board_kind" in metafunc.fixturenames:
         kinds = ["port"] if metafunc.config.getoption("--port") else ["emulator", rest("firmware")]
         metafunc.parametrize("board_kind", kinds)
@@ -43,10 +47,11 @@ def opened(device: str, ports: dict[str, str], open: Callable[[str], None]) -> s
     return ports[device]
 
 
-def open_servos(path: str) -> None:
+def open_servos(path: str) -> ServoType:
     bus = ServoBus(ServoSite(path, real=True).settings)
     bus.open()
     bus.close()
+    return bus.drive.servo
 
 
 def open_board(path: str) -> None:
@@ -55,8 +60,10 @@ def open_board(path: str) -> None:
 
 
 @pytest.fixture(scope="session")
-def real_servos(ports: dict[str, str]) -> str:
-    return opened("servo", ports, open_servos)
+def real_servos(ports: dict[str, str]) -> ServoSite:
+    kinds: list[ServoType] = []
+    path = opened("servo", ports, lambda path: kinds.append(open_servos(path)))
+    return ServoSite(path, real=True, kind=kinds[0])
 
 
 @pytest.fixture(scope="session")
@@ -65,12 +72,12 @@ def real_board(ports: dict[str, str]) -> str:
 
 
 @pytest.fixture
-def servo_site(request: pytest.FixtureRequest, ports: dict[str, str]) -> Iterator[ServoSite]:
-    """The servos of this run."""
+def servo_site(request: pytest.FixtureRequest, ports: dict[str, str], servo_kind: ServoType) -> Iterator[ServoSite]:
+    """The servos of this run; emulated ones of each type."""
     if ports:
-        yield ServoSite(request.getfixturevalue("real_servos"), real=True)
+        yield request.getfixturevalue("real_servos")
     else:
-        with emulated_servos() as site:
+        with emulated_servos(servo_kind) as site:
             yield site
 
 

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from deltacharger_core.servo_types import MX_64, ServoType
 from deltacharger_driver.emulators.bench import BenchArm, BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
@@ -20,9 +21,9 @@ from deltacharger_driver.parameters import REPLY_MARGIN
 from deltacharger_driver.ports import PseudoTerminal
 from deltacharger_driver.servos.registers import BusSettings
 
-LARGEST_CURRENT = 3.0  # A, servo_node's default
 DEAD_TAXEL = (0, 3, 4)  # pad, row, column of the one that every emulated board has
 LOAD = 2.0  # ohm between an emulated board's electrodes once a load is connected
+_LARGEST_CURRENT = 3.0  # A
 _EMULATOR_MARGIN = 0.5  # s until a reply counts as lost
 
 
@@ -33,16 +34,18 @@ class ServoSite:
     Attributes:
         path: of the port.
         real: whether it was given with --port.
+        kind: type of the servos.
     """
 
     path: str
     real: bool
+    kind: ServoType = MX_64
 
     @property
     def settings(self) -> BusSettings:
         """Wiring and mounting of the drawing; an emulator on the tests' computer gets more time than a servo."""
         margin = REPLY_MARGIN if self.real else _EMULATOR_MARGIN
-        return BusSettings(self.path, reply_margin=margin, current_max=LARGEST_CURRENT)
+        return BusSettings(self.path, reply_margin=margin, current_max=min(_LARGEST_CURRENT, self.kind.stall_current))
 
 
 @dataclass(frozen=True)
@@ -63,12 +66,12 @@ class BoardSite:
 
 
 @contextlib.contextmanager
-def emulated_servos() -> Iterator[ServoSite]:
+def emulated_servos(kind: ServoType = MX_64) -> Iterator[ServoSite]:
     """Serve emulated servos; their arms have different angles, so that they cannot be confused."""
-    emulator = ServoBusEmulator(BenchArm((-0.7, -0.5, 0.2)))
+    emulator = ServoBusEmulator(BenchArm((-0.7, -0.5, 0.2), torque_constant=kind.torque_constant), kind=kind)
     with PseudoTerminal(emulator) as terminal:
         emulator.line_speed = terminal.speed
-        yield ServoSite(terminal.path, real=False)
+        yield ServoSite(terminal.path, real=False, kind=kind)
     assert terminal.error is None
 
 

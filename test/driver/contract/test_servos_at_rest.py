@@ -10,13 +10,13 @@ from dataclasses import replace
 
 import pytest
 
-from deltacharger_core.machine import POSITION_D_GAIN, POSITION_P_GAIN
+from deltacharger_core.servo_types import ServoType
 from deltacharger_driver.errors import DriverError, ServoFault
 from deltacharger_driver.port_identity import identify
 from deltacharger_driver.servos import registers
-from deltacharger_driver.servos.bus import MOTION, BusSnapshot, ServoBus, configure, restart_watchdog
+from deltacharger_driver.servos.bus import BusSnapshot, ServoBus, configure, motion_registers, restart_watchdog
 from deltacharger_driver.servos.link import ServoLink
-from deltacharger_driver.servos.registers import REGISTERS, BusSettings, has_restarted
+from deltacharger_driver.servos.registers import REGISTERS, has_restarted
 
 from ...marks import rest
 from ...waiting import wait_until
@@ -26,8 +26,6 @@ OLDEST_FIRMWARE = 39
 CYCLES = 60
 RATE = 100.0  # Hz, of servo_node
 SET_UP = {"torque_enable": 0, "drive_mode": 0, "homing_offset": 0, "hardware_error": 0, "secondary_id": 255}
-SET_UP |= {"status_return_level": 2, **MOTION}
-SET_UP |= {"position_p_gain": POSITION_P_GAIN, "position_i_gain": 0, "position_d_gain": POSITION_D_GAIN}
 JITTER = {"present_current": 30, "present_velocity": 5, "present_position": 4, "input_voltage": 3, "temperature": 1}
 """Counts by which a measured register may differ between two readings at rest; 0 for any other register."""
 
@@ -40,16 +38,22 @@ def test_the_port_is_identified_as_the_three_servos(servo_site: ServoSite) -> No
     assert {servo.servo for servo in found.servos} == set(settings.ids), found.details
 
 
-def test_each_servo_is_an_mx_64_with_protocol_2(link: ServoLink, servo_site: ServoSite) -> None:
+def set_up_of(kind: ServoType) -> dict[str, int]:
+    gains = dict(zip(registers.GAINS, kind.gains, strict=True))
+    return {**SET_UP, "status_return_level": 2, **motion_registers(kind), **gains}
+
+
+def test_each_servo_is_of_the_type_with_protocol_2(link: ServoLink, servo_site: ServoSite) -> None:
     for servo in servo_site.settings.ids:
-        assert link.ping(servo, attempts=2) == link.read(servo, "model") == registers.MODEL
+        assert link.ping(servo, attempts=2) == link.read(servo, "model") == servo_site.kind.model
         assert link.read(servo, "firmware") >= OLDEST_FIRMWARE
         assert link.read(servo, "id") == servo
 
 
 def test_the_configuration_is_in_the_registers(link: ServoLink, servo_site: ServoSite) -> None:
+    wanted = set_up_of(servo_site.kind)
     for servo in servo_site.settings.ids:
-        assert {name: link.read(servo, name) for name in SET_UP} == SET_UP, f"servo {servo}"
+        assert {name: link.read(servo, name) for name in wanted} == wanted, f"servo {servo}"
         assert link.read(servo, "bus_watchdog") in (
             registers.WATCHDOG,
             registers.WATCHDOG_TRIPPED,
@@ -92,23 +96,24 @@ def test_cycles_follow_each_other_without_a_missed_reply(bus: ServoBus, servo_si
     times = [snapshot.time for snapshot in snapshots]
     assert times == sorted(set(times))
     for snapshot in snapshots:
-        check_values(snapshot, servo_site.settings)
+        check_values(snapshot, servo_site)
     median = statistics.median(took)
     assert not servo_site.real or median < 1.0 / RATE, (
         f"a cycle takes {median * 1e3:.1f} ms, more than {RATE:g} Hz allow; look at the adapter's latency timer"
     )
 
 
-def check_values(snapshot: BusSnapshot, settings: BusSettings) -> None:
+def check_values(snapshot: BusSnapshot, site: ServoSite) -> None:
     """Fail if a value is impossible for a servo at rest at 12 V."""
-    for index, servo in enumerate(settings.ids):
+    kind = site.kind
+    for index, servo in enumerate(site.settings.ids):
         about = f"servo {servo}: {snapshot}"
         assert -math.pi <= snapshot.angle[index] <= math.pi, about
-        assert abs(snapshot.velocity[index]) <= REGISTERS["velocity_limit"].high * registers.VELOCITY_UNIT, about
-        assert abs(snapshot.current[index]) <= JITTER["present_current"] * registers.CURRENT_UNIT, about
-        low, high = (REGISTERS[name].default * registers.VOLTAGE_UNIT for name in ("min_voltage", "max_voltage"))
+        assert abs(snapshot.velocity[index]) <= REGISTERS["velocity_limit"].high * kind.velocity_unit, about
+        assert abs(snapshot.current[index]) <= JITTER["present_current"] * kind.current_unit, about
+        low, high = kind.voltage_min * kind.voltage_unit, kind.voltage_max * kind.voltage_unit
         assert low <= snapshot.voltage[index] <= high, about
-        assert 0.0 <= snapshot.temperature[index] < REGISTERS["temperature_limit"].default, about
+        assert 0.0 <= snapshot.temperature[index] < kind.temperature_limit, about
         assert snapshot.hardware_error[index] == 0, about
         assert snapshot.torque_enabled[index] is False, about
 
@@ -135,7 +140,7 @@ def test_a_restart_loses_the_configuration_but_keeps_eeprom(link: ServoLink, ser
 
     def back() -> bool:
         try:
-            return link.ping(servo) == registers.MODEL
+            return link.ping(servo) == servo_site.kind.model
         except DriverError:
             return False
 
@@ -143,9 +148,10 @@ def test_a_restart_loses_the_configuration_but_keeps_eeprom(link: ServoLink, ser
     assert has_restarted(link.read_bytes(servo, registers.READ_ADDRESS, registers.READ_LENGTH))
     assert (link.read(servo, "torque_enable"), link.read(servo, "bus_watchdog")) == (0, 0)
     assert link.read(servo, "operating_mode") == registers.MODE_CURRENT_POSITION
-    assert link.read(servo, "position_p_gain") == REGISTERS["position_p_gain"].default
-    configure(link, servo, settings)
-    assert {name: link.read(servo, name) for name in SET_UP} == SET_UP
+    assert link.read(servo, "position_p_gain") == servo_site.kind.position_p_gain
+    configure(link, servo, settings, settings.drive(servo_site.kind))
+    wanted = set_up_of(servo_site.kind)
+    assert {name: link.read(servo, name) for name in wanted} == wanted
 
 
 def test_a_restart_in_the_cycle_is_detected_and_repaired(bus: ServoBus) -> None:

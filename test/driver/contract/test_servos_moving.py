@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws of three healthy MX-64 with torque on, moved by a few degrees. On real ones only with --move."""
+"""Laws of three healthy servos with torque on, moved by a few degrees. On real ones only with --move."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import contextlib
 import math
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import pytest
 
-from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_driver.errors import DriverError, ServoFault
 from deltacharger_driver.servos.bus import BusSnapshot, ServoBus
 from deltacharger_driver.servos.controller import ServoController
@@ -140,7 +140,7 @@ def torque(site: ServoSite) -> list[int]:
 
 
 def test_torque_is_off_after_the_controller_was_closed(servo_site: ServoSite) -> None:
-    controller = ServoController(servo_site.settings, BOUND, TORQUE_CONSTANT)
+    controller = ServoController(replace(servo_site.settings, current_bound=BOUND))
     controller.open()
     try:
         request = controller.request("torque_on")

@@ -1,0 +1,320 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Each type of servo is one row: the driver reads units, limits and constants of the servos that it finds from it.
+
+Every row is driven over its own bytes: here mostly in virtual time, in contract/ on a real port. A further type needs
+nothing else than its row in deltacharger_core/servo_types.py and its figures here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from deltacharger_core import machine
+from deltacharger_core.servo_types import MX_64, TYPES, XM430_W350, ServoType, contact_band, model_name
+from deltacharger_driver.emulators.bench import BenchArm
+from deltacharger_driver.emulators.servo import ControlTable
+from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
+from deltacharger_driver.errors import HandshakeError, RangeError, TrajectoryRefused
+from deltacharger_driver.ports import PseudoTerminal
+from deltacharger_driver.servos.bus import ServoBus, motion_registers
+from deltacharger_driver.servos.controller import ServoController
+from deltacharger_driver.servos.link import ServoLink
+from deltacharger_driver.servos.motion import JointLimits, ServoWaypoint, check
+from deltacharger_driver.servos.registers import GAINS, REGISTERS, BusSettings, current_to_counts, registers_of
+from deltacharger_driver.servos.report import ThermalModel, reserve
+
+from ..quick import PATIENT_MARGIN
+from .servo_rig import NAMES, START
+from .virtual_line import Clock, Line
+
+KINDS = pytest.mark.parametrize("kind", TYPES.values(), ids=lambda kind: kind.name)
+OTHER = replace(
+    MX_64, name="ZZ-1", model=9999, current_unit=1e-3, current_limit=3000, stall_torque=9.0, stall_current=2.5
+)
+"""A type that the product does not have."""
+
+
+class Arm(SimpleNamespace):
+    """Emulated servos of one type, and drivers of them."""
+
+    def __init__(self, kind: ServoType, line: Line, clock: Clock, plant: BenchArm, emulator: ServoBusEmulator) -> None:
+        super().__init__(kind=kind, line=line, clock=clock, plant=plant, emulator=emulator)
+
+    def bus(self, **settings: Any) -> ServoBus:
+        return ServoBus(BusSettings(self.line.path, **settings), self.line.handler)
+
+    def controller(self, **settings: Any) -> ServoController:
+        """A controller whose torque is on."""
+        controller = ServoController(BusSettings(self.line.path, **settings), handler=self.line.handler)
+        controller.open()
+        request = controller.request("torque_on")
+        controller.cycle()
+        assert request.success, request.message
+        return controller
+
+
+@pytest.fixture
+def make() -> Iterator[Callable[[ServoType], Arm]]:
+    lines: list[Line] = []
+
+    def of(kind: ServoType) -> Arm:
+        clock = Clock()
+        plant = BenchArm(START, clock, kind.torque_constant)
+        emulator = ServoBusEmulator(plant, kind=kind)
+        lines.append(Line(emulator, clock).start())
+        return Arm(kind, lines[-1], clock, plant, emulator)
+
+    yield of
+    for line in lines:
+        line.stop()
+
+
+def trajectory(*rows: tuple[Any, ...]) -> Any:
+    return check(NAMES, [ServoWaypoint(*row) for row in rows], JointLimits(NAMES, -1.2, 1.3, 4.4))
+
+
+def test_the_mx_64_has_the_constants_of_the_papers_machine() -> None:
+    assert MX_64.torque_constant == machine.TORQUE_CONSTANT
+    assert (MX_64.stall_torque, MX_64.stall_current) == (machine.STALL_TORQUE, machine.STALL_CURRENT) == (6.0, 4.1)
+    assert MX_64.gains == (machine.POSITION_P_GAIN, 0, machine.POSITION_D_GAIN) == (434, 0, 2715)
+    assert MX_64.stiffness_per_gain == machine.STIFFNESS_PER_GAIN
+    assert MX_64.damping_per_gain == machine.DAMPING_PER_GAIN
+    assert (MX_64.current_bound, MX_64.joint_speed) == (machine.CURRENT_BOUND, machine.JOINT_SPEED) == (0.83, 4.9)
+    assert MX_64.largest_current == pytest.approx(6.52, abs=0.01)
+    assert registers_of(MX_64) == REGISTERS
+
+
+def test_the_xm430_has_the_figures_of_its_e_manual() -> None:
+    table = registers_of(XM430_W350)
+    assert XM430_W350.torque_constant == pytest.approx(1.783, abs=1e-3)
+    assert XM430_W350.largest_current == pytest.approx(3.209, abs=1e-3)
+    assert (table["current_limit"].default, table["goal_current"].low, table["pwm_limit"].default) == (1193, -1193, 885)
+    assert (table["velocity_limit"].default, table["velocity_limit"].high) == (200, 1023)
+    assert (table["temperature_limit"].default, table["position_p_gain"].default, table["model"].default) == (
+        80,
+        800,
+        1020,
+    )
+    assert REGISTERS.keys() - table.keys() == {"acceleration_limit"}
+    places = {name: (register.address, register.size, register.signed) for name, register in REGISTERS.items()}
+    assert all(places[name] == (each.address, each.size, each.signed) for name, each in table.items())
+    assert [current_to_counts(sign * 0.5, XM430_W350) for sign in (1, -1)] == [185, -185]
+    assert [current_to_counts(sign * 0.5, MX_64) for sign in (1, -1)] == [148, -148]
+
+
+@KINDS
+def test_the_band_of_contact_is_the_papers_force_on_every_type(kind: ServoType) -> None:
+    least, most = contact_band(kind)
+    assert least * kind.torque_constant == pytest.approx(0.4 * 6.0 / 4.1)
+    assert most * kind.torque_constant == pytest.approx(0.5 * 6.0 / 4.1)
+    assert contact_band(MX_64) == (0.4, 0.5)
+    assert contact_band(XM430_W350) == pytest.approx((0.328, 0.410), abs=1e-3)
+
+
+@KINDS
+def test_every_type_is_as_stiff_as_the_others_and_never_hotter_than_its_row_says(kind: ServoType) -> None:
+    assert kind.gains[0] * kind.stiffness_per_gain == pytest.approx(machine.SERVO_STIFFNESS, rel=2e-3)
+    assert kind.gains[2] * kind.damping_per_gain == pytest.approx(machine.SERVO_DAMPING, rel=2e-3)
+    assert reserve(0.0, kind.heat_current, kind) == pytest.approx(kind.heat_time)
+    assert reserve(0.0, 0.99 * math.sqrt(kind.heat_limit / kind.heat_constant), kind) == math.inf
+    hot = ThermalModel(kind)
+    hot.start_at(kind.temperature_limit)
+    hot.update(0.1, 0.0)
+    assert hot.reserve() == 0.0
+    assert reserve(0.0, 0.5, XM430_W350) < reserve(0.0, 0.8, MX_64)
+
+
+def set_up(link: ServoLink, bus: ServoBus, kind: ServoType) -> None:
+    """Fail unless the registers of a bus's servos are set for a type."""
+    wanted = motion_registers(kind) | dict(zip(GAINS, kind.gains, strict=True))
+    for servo in bus.settings.ids:
+        assert {name: link.read(servo, name) for name in wanted} == wanted
+
+
+@KINDS
+def test_the_servos_found_are_set_up_by_their_row_over_a_real_port(kind: ServoType) -> None:
+    emulator = ServoBusEmulator(BenchArm(START), kind=kind)
+    with PseudoTerminal(emulator) as terminal:
+        emulator.line_speed = terminal.speed
+        bus = ServoBus(BusSettings(terminal.path, reply_margin=PATIENT_MARGIN))
+        bus.open()
+        assert bus.drive.servo is kind
+        assert bus.drive.torque_constant == kind.torque_constant
+        assert bus.drive.current_max == kind.stall_current
+        set_up(bus._link, bus, kind)
+        assert bus.read().complete
+        bus.close()
+
+
+@pytest.mark.parametrize("kind", [XM430_W350])
+def test_no_register_that_a_type_lacks_is_touched(
+    make: Callable[[ServoType], Arm], monkeypatch: pytest.MonkeyPatch, kind: ServoType
+) -> None:
+    touched: set[int] = set()
+    for name in ("read", "write"):
+        method = getattr(ControlTable, name)
+
+        def spy(table: ControlTable, address: int, what: Any, method: Any = method) -> Any:
+            touched.update(range(address, address + (what if isinstance(what, int) else len(what))))
+            return method(table, address, what)
+
+        monkeypatch.setattr(ControlTable, name, spy)
+    make(kind).bus().open()
+    assert {38, 39, 44, 84, 98, 168, 224} <= touched
+    assert not touched & {40, 41, 42, 43}
+
+
+@KINDS
+def test_currents_have_the_types_unit(make: Callable[[ServoType], Arm], kind: ServoType) -> None:
+    arm = make(kind)
+    bus = arm.bus()
+    bus.open()
+    bus.enable_torque((2.0,) * 3)
+    arm.plant.load[:] = [0.3 * kind.torque_constant, -0.9 * kind.torque_constant, 0.0]
+    arm.clock.sleep(1.0)
+    snapshot = bus.read()
+    assert snapshot.current == pytest.approx((-0.3, 0.9, 0.0), abs=kind.current_unit)
+    counts = [arm.emulator.servo(servo).table.get("present_current") for servo in (1, 2, 3)]
+    assert snapshot.current == pytest.approx([count * kind.current_unit for count in counts])
+    assert snapshot.voltage == pytest.approx((12.0,) * 3)
+
+
+@KINDS
+@pytest.mark.parametrize("bound", [0.0, 0.1, 0.4999, 0.5, 0.83, 2.2999])
+def test_a_bound_is_never_exceeded_in_the_types_unit(
+    make: Callable[[ServoType], Arm], kind: ServoType, bound: float
+) -> None:
+    arm = make(kind)
+    bus = arm.bus()
+    bus.open()
+    bus.enable_torque((bound,) * 3)
+    counts = arm.emulator.servo(2).table.get("goal_current")
+    assert bound - kind.current_unit < counts * kind.current_unit <= bound
+    assert arm.plant.commands[1][2] == counts * kind.current_unit
+    with pytest.raises(RangeError):
+        bus.write_goals(START, (0.1, kind.stall_current + kind.current_unit, 0.1))
+
+
+@KINDS
+def test_a_torque_becomes_a_current_by_the_types_constant_unless_one_is_set(
+    make: Callable[[ServoType], Arm], kind: ServoType
+) -> None:
+    for constant in (None, 1.2):
+        arm = make(kind)
+        controller = arm.controller(torque_constant=constant)
+        assert [command[2] for command in arm.plant.commands] == pytest.approx(
+            [kind.current_bound] * 3, abs=kind.current_unit
+        )
+        controller.submit(trajectory((1.0, START, (1.0, 0.5, 0.0))))
+        controller.cycle()
+        by = constant or kind.torque_constant
+        found = [command[2] for command in arm.plant.commands]
+        assert found == pytest.approx([1.0 / by, 0.5 / by, 0.0], abs=kind.current_unit)
+        controller.close()
+
+
+@KINDS
+def test_goals_are_no_faster_than_the_types_joints(make: Callable[[ServoType], Arm], kind: ServoType) -> None:
+    controller = make(kind).controller()
+    for faster, refused in ((0.98, False), (4.0, True)):
+        line = trajectory((1.9 / (faster * kind.joint_speed), [START[0] + 1.9, *START[1:]]))
+        if refused:
+            with pytest.raises(TrajectoryRefused, match=f"{kind.joint_speed} rad/s"):
+                controller.submit(line)
+        else:
+            controller.submit(line)
+            controller.freeze()
+            controller.cycle()
+
+
+@KINDS
+def test_the_limits_demanded_are_the_types_own(make: Callable[[ServoType], Arm], kind: ServoType) -> None:
+    arm = make(kind)
+    least = current_to_counts(kind.stall_current, kind)
+    arm.emulator.servo(1).table.set("current_limit", least - 1)
+    arm.emulator.servo(3).table.set("temperature_limit", kind.temperature_limit + 1)
+    with pytest.raises(HandshakeError) as caught:
+        arm.bus().open()
+    assert [fault[:7] for fault in caught.value.faults] == ["servo 1", "servo 3"]
+    assert f"{least} to {kind.current_limit}; " in caught.value.faults[0]
+    assert f"raise it to {kind.current_limit} " in caught.value.faults[0]
+    assert f"60 to {kind.temperature_limit}" in caught.value.faults[1]
+
+
+def test_a_bound_beyond_the_types_registers_is_refused_at_the_set_up(make: Callable[[ServoType], Arm]) -> None:
+    for settings in ({"current_max": 4.0}, {"current_bound": 2.4}):
+        with pytest.raises(RangeError):
+            make(XM430_W350).bus(**settings).open()
+        make(MX_64).bus(**settings).open()
+
+
+def test_a_mixture_is_refused_by_name(make: Callable[[ServoType], Arm]) -> None:
+    arm = make(XM430_W350)
+    arm.emulator.servo(2).table.set("model", 311)
+    bus = arm.bus()
+    with pytest.raises(HandshakeError, match=r"servo 2 is MX-64 \(311\), not XM430-W350 \(1020\) as servo 1") as caught:
+        bus.open()
+    assert len(caught.value.faults) == 1
+    assert not bus.is_open
+    assert arm.plant.torque_enabled() == [False] * 3
+
+
+def test_an_unknown_model_is_refused_by_its_number(make: Callable[[ServoType], Arm]) -> None:
+    arm = make(OTHER)
+    with pytest.raises(HandshakeError, match=r"servo 3 is model 9999, not MX-64 \(311\) or XM430-W350 \(1020\)"):
+        arm.bus().open()
+    names = [model_name(model) for model in (9999, 1020, 310)]
+    assert names == ["model 9999", "XM430-W350", "MX-64 for Protocol 1.0"]
+
+
+def test_servos_of_another_type_are_refused_at_a_reconnection(make: Callable[[ServoType], Arm]) -> None:
+    arm = make(XM430_W350)
+    bus = arm.bus()
+    bus.open()
+    bus.close()
+    for servo in (1, 2, 3):
+        arm.emulator.servo(servo).table.set("model", 311)
+    with pytest.raises(HandshakeError, match=r"servo 1 is MX-64 .*as before: restart servo_node"):
+        bus.open()
+    assert bus.drive.servo is XM430_W350
+
+
+def test_a_row_alone_is_a_type(make: Callable[[ServoType], Arm], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(TYPES, OTHER.model, OTHER)
+    arm = make(OTHER)
+    controller = arm.controller()
+    set_up(controller.bus._link, controller.bus, OTHER)
+    arm.plant.load[0] = -0.25 * OTHER.torque_constant
+    for _ in range(30):
+        report = controller.cycle()
+        arm.clock.sleep(0.01)
+    assert report.current[0] == pytest.approx(0.25, abs=2e-3)
+    assert not report.faults
+    controller.close()
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("given", [{}, {"torque_constant": 1.463, "position_p_gain": 500}])
+def test_servo_node_shows_and_uses_the_types_values_unless_they_are_given(context: Any, given: dict[str, Any]) -> None:
+    from deltacharger_driver.servos.servo_node import ServoNode
+
+    from ..nodes import options
+
+    emulator = ServoBusEmulator(BenchArm(START), kind=XM430_W350)
+    with PseudoTerminal(emulator) as terminal:
+        emulator.line_speed = terminal.speed
+        node = ServoNode(**options(context, port=terminal.path, reply_margin=PATIENT_MARGIN, **given))
+        names = ("torque_constant", "position_p_gain", "position_d_gain", "current_max", "current_bound")
+        found = {name: node.get_parameter(name).value for name in names}
+        node.close()
+        node.destroy_node()
+    p, _, d = XM430_W350.gains
+    own = {"torque_constant": 4.1 / 2.3, "position_p_gain": p, "position_d_gain": d, "current_max": 2.3}
+    assert found == pytest.approx({**own, "current_bound": XM430_W350.current_bound, **given})
+    assert emulator.servo(2).table.get("position_p_gain") == found["position_p_gain"]
