@@ -63,7 +63,7 @@ def test_servo_state_and_joint_states_show_each_report(node: Any) -> None:
     publishers = StatePublishers(node, QoSProfile(depth=1), "charger_base", "left_")
     unknown = report(5.0)._replace(angle=(math.nan, 0.0, 0.0))
     for each in (report(0.0), report(90.0), unknown):
-        publishers.publish(each)
+        publishers.publish(each, 2.0)
         state = node.received["servo_state"][-1]
         assert state.header.frame_id == "charger_base"
         assert abs(seconds(state.header.stamp) - time.time()) < 5.0

@@ -71,19 +71,6 @@ void dc_board_poll(dc_board *board);
 /* Return the time from the last poll until the next is needed, us, apart from reading: the caller may sleep so long. */
 uint32_t dc_board_idle_us(const dc_board *board);
 
-/* Queue the board's HELLO. */
-void dc_board_introduce(dc_board *board);
-
-/* Queue a packet with the next sequence number of its type and the present time; false if the output is full. */
-bool dc_board_send(dc_board *board, uint8_t type, const uint8_t *payload, uint16_t size);
-
-/* Execute a packet from the host and answer it. */
-void dc_board_obey(dc_board *board, const dc_packet *packet);
-
-/* Queue an ACK with `size` bytes of data. */
-void dc_board_acknowledge(dc_board *board, uint8_t type, uint16_t sequence, uint8_t error, const uint8_t *data,
-                          uint16_t size);
-
 #ifdef __cplusplus
 }
 #endif
