@@ -18,6 +18,7 @@ from deltacharger_core.machine import (
     TORQUE_CONSTANT,
 )
 from deltacharger_core.parameters import Bounded, ParameterError, choice, number, numbers, pose, tunable, words
+from deltacharger_core.servo_types import MX_64, TYPES, ServoType, contact_band
 from deltacharger_core.servos_file import STIFFNESS_MAX, STIFFNESS_MIN
 from deltacharger_kinematics.geometry import Vector
 
@@ -121,6 +122,13 @@ class DockingParameters(Bounded):
             if (low := getattr(self, lower)) > (high := getattr(self, upper)):
                 raise ParameterError(lower, low, f"{low:g} is above {upper}, {high:g}: lower it, or raise {upper}")
 
+    @classmethod
+    def of(cls, servo: ServoType) -> DockingParameters:
+        """Return the defaults for a type of servo: contact currents are the same forces on every type."""
+        least, most = contact_band(servo)
+        hard = cls.hard_current * most / cls.current_max
+        return cls(torque_constant=servo.torque_constant, current_min=least, current_max=most, hard_current=hard)
+
     @property
     def always_live(self) -> bool:
         """Whether electrodes are live whenever they touch, and charge current is not measured."""
@@ -139,17 +147,27 @@ class DockingParameters(Bounded):
 
 @dataclass(frozen=True)
 class DockingNodeParameters(Bounded):
-    """Where the charger is on its robot.
+    """Its servos, and where the charger is on its robot.
 
     Raises:
         ParameterError: a value lies outside its bounds, or base_pose has a quaternion of length zero.
     """
 
+    servo_type: str = choice(
+        MX_64.name,
+        tuple(each.name for each in TYPES.values()),
+        "the arm's; contact currents that are not given follow it",
+    )
     base_frame: str = words("base_link", "the robot's frame for goals, in addition to charger_base")
     base_pose: tuple[float, ...] = pose((0.0, 0.0, 0.0, 0.5, 0.5, 0.5, 0.5), "charger_base in base_frame")
     lean_max: float = number(
         math.radians(30.0), 0.0, 0.5 * math.pi, "rad", "largest lean of a goal's electrodes from charger_base's z axis"
     )
+
+    @property
+    def servo(self) -> ServoType:
+        """The type of the arm's servos."""
+        return next(each for each in TYPES.values() if each.name == self.servo_type)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -51,7 +51,7 @@ class KinematicsNode(Node):
         super().__init__("kinematics_node", **kwargs)
         self._log = Log(self)
         geometry = declare_geometry(self)
-        given = declare_with_servos(self, KinematicsNodeParameters, SERVOS_FOLLOW)
+        given = declare_with_servos(self, KinematicsNodeParameters(), SERVOS_FOLLOW)
         frames = declare_all(self, FrameParameters)
         self._charger_base, self._end_effector = frames.named(CHARGER_BASE), frames.named(END_EFFECTOR)
         reject_unknown(self)

@@ -57,15 +57,15 @@ def declare_all(node: Node, table: type[T], defaults: Any = None, form: str = "{
         raise _refusal(node, prefix + error.key, error.problem) from error
 
 
-def declare_with_servos(node: Node, table: type[T], follows: Mapping[str, str], form: str = "{text} ({unit})") -> T:
-    """Declare every parameter of a class on the node; those of its servos take their values from `servos_file`.
+def declare_with_servos(node: Node, defaults: T, follows: Mapping[str, str], form: str = "{text} ({unit})") -> T:
+    """Declare every parameter of an object's class; those of its servos take their values from `servos_file`.
 
     With a `servos_file` its values are used and shown in the parameters. A parameter that is given as well must have
     the same value.
 
     Args:
         node: owner of the parameters.
-        table: a parameter class without groups, all of whose parameters have defaults.
+        defaults: of a parameter class without groups.
         follows: parameter name to key in the file, for the parameters that the file sets.
         form: format of the descriptions, see `Declaration.description`.
 
@@ -74,12 +74,11 @@ def declare_with_servos(node: Node, table: type[T], follows: Mapping[str, str], 
     """
     file = declare_all(node, ServosFileParameters).servos_file
     if not file:
-        return declare_all(node, table, form=form)
+        return declare_all(node, type(defaults), defaults, form)
     servos = _measured(node, file)
     measured = {name: getattr(servos, key) for name, key in follows.items()}
     try:
-        defaults = replace(table(), **measured)  # type: ignore[type-var]
-        given = declare_all(node, table, defaults=defaults, form=form)
+        given = declare_all(node, type(defaults), replace(defaults, **measured), form)  # type: ignore[type-var]
     except (StartupError, ValueError) as error:
         raise StartupError(f"{error} (servos_file '{file}')") from error
     for name, value in measured.items():

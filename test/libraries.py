@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 AT_ONCE: dict[str, tuple[str, ...]] = {
-    "tactile_node": ("dynamixel_sdk", "serial"),
+    "tactile_node": ("serial",),
     "servo_node": ("dynamixel_sdk", "serial"),
-    "simulated_charger": ("dynamixel_sdk", "serial"),
+    "simulated_charger": ("serial",),
 }
 """Loaded by the node's import."""
 

@@ -62,13 +62,14 @@ class DockingNode(Node):
     def __init__(self, held: bool = False, **kwargs: Any) -> None:
         self._closed = True  # nothing to make safe before the node is complete and released
         super().__init__("docking_node", **kwargs)
-        self._settings = declare_with_servos(self, DockingParameters, _SERVOS_FOLLOW, form="{text}, {unit}")
+        robot, transforms = declare_all(self, DockingNodeParameters), declare_all(self, TransformParameters)
+        defaults = DockingParameters.of(robot.servo)
+        self._settings = declare_with_servos(self, defaults, _SERVOS_FOLLOW, form="{text}, {unit}")
         geometry = declare_geometry(self)
-        mount, transforms = declare_all(self, DockingNodeParameters), declare_all(self, TransformParameters)
         names = declare_all(self, ProfileNames).target_profiles
         profiles = {name: declare_all(self, TargetProfile, prefix=f"{name}.") for name in names}
         reject_unknown(self)
-        self._frames = frames = Frames(self, transforms, mount.base_frame, mount.base_pose)
+        self._frames = frames = Frames(self, transforms, robot.base_frame, robot.base_pose)
         self._targets = ", ".join(profiles) or "none, so it charges nothing (docs/targets.md)"
         self._machine = DockingMachine(self._settings, geometry, profiles=profiles)
         self._lock = threading.RLock()
@@ -93,7 +94,7 @@ class DockingNode(Node):
             self._begun,
             self._defect,
             self._calls.misalignment,
-            mount,
+            robot,
             frames,
         )
         Tuning(self, self._settings, self._tune)

@@ -345,7 +345,7 @@ class ServoNode(Node):
         self._lines = Log(self)
         self._contactor = ContactorClient(self)
         frames = declare_all(self, JointFrameParameters)
-        given = declare_with_servos(self, ServoNodeParameters, SERVOS_FOLLOW)
+        given = declare_with_servos(self, ServoNodeParameters(), SERVOS_FOLLOW)
         reject_unknown(self)
         self._controller = self._configure(given)
         base = frames.named(CHARGER_BASE)

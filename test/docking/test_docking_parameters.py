@@ -10,11 +10,14 @@ from typing import Any
 
 import pytest
 
+from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.parameters import Declaration, declared
+from deltacharger_core.servo_types import MX_64, TYPES, ServoType
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import Observation
 from deltacharger_docking.parameters import DockingNodeParameters, DockingParameters
 from deltacharger_docking.ros.docking_node import DockingNode
+from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_mission.parameters import MissionNodeParameters, MissionParameters
 from deltacharger_scenes.parameter_check import problems
 from deltacharger_scenes.scene import parse_scene
@@ -114,10 +117,27 @@ def test_a_scene_may_set_each_parameter_and_wrong_values_are_refused(node: str) 
 @pytest.mark.ros
 def test_the_node_uses_the_values_of_the_scene(context: Any, namespace: str) -> None:
     given = parse_scene({"nodes": ["docking_node"], "parameters": {"docking_node": values("docking_node")}}, "mine")
-    node = DockingNode(held=True, **options(context, namespace, **given.node_parameters("docking_node", {})))
-    try:
-        decides_by = node._machine.parameters
-    finally:
-        node.destroy_node()
+    decides_by = parameters_of(context, namespace, **given.node_parameters("docking_node", {}))
     wanted = {each.name: other(each) for each in declared(DockingParameters)}
     assert decides_by == DockingParameters(**{**wanted, "gravity": tuple(wanted["gravity"])})
+
+
+def parameters_of(context: Any, namespace: str, **given: Any) -> DockingParameters:
+    """Return what a docking_node with these ROS parameters decides by."""
+    node = DockingNode(held=True, **options(context, namespace, **given))
+    try:
+        return node._machine.parameters
+    finally:
+        node.destroy_node()
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("servo", TYPES.values(), ids=lambda servo: servo.name)
+def test_the_band_of_every_servo_type_is_the_papers_force(context: Any, namespace: str, servo: ServoType) -> None:
+    found = parameters_of(context, namespace, servo_type=servo.name)
+    torques = [(found.torque_constant * current,) * 3 for current in (found.current_min, found.current_max)]
+    forces = [ScalarDelta().force(0.0, 0.0, DOCK_DISTANCE, torque)[2] for torque in torques]
+    assert forces == pytest.approx([15.3, 19.2], abs=0.06)  # N, the paper's 0.4 and 0.5 A of an MX-64
+    assert (found == DockingParameters()) is (servo is MX_64)
+    own = parameters_of(context, f"{namespace}_own", servo_type=servo.name, current_max=0.6)
+    assert own == dataclasses.replace(found, current_max=0.6)

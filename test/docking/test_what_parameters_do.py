@@ -183,6 +183,7 @@ CASES: dict[str, Case | str] = {
     "power_age_max": Case(0.2, shown(State.CHARGING, 0.1, power_age=0.3), Code.POWER_STALE),
     "detection_age_max": Case(0.3, detected(0.6), Code.DETECTION_STALE),
     "goal_timeout": Case(12.0, code, Code.TIMEOUT, also={"press_speed": 0.002}),
+    "servo_type": "docking/test_docking_parameters.py::test_the_band_of_every_servo_type_is_the_papers_force",
     "base_frame": "ros/test_frames.py::test_without_tf2_ros_parameters_are_used_and_other_frames_refused_by_name",
     "base_pose": "docking/test_docking_messages.py::test_a_goal_that_leans_keeps_its_lean_in_either_frame",
     "lean_max": "docking/test_docking_messages.py::test_a_goal_with_more_lean_than_lean_max_is_refused",

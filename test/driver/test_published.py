@@ -14,11 +14,10 @@ from rclpy.clock import Clock, ClockType
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 
-from deltacharger_driver.board.payloads import Power
-from deltacharger_driver.board.samples import PowerSample, TactileSample
+from deltacharger_driver.board.protocol import Power, PowerSample, TactileSample
 from deltacharger_driver.board.tactile_node_io import SamplePublishers
 from deltacharger_driver.servos.report import ServoPhase, ServoReport
-from deltacharger_driver.servos.servo_node_io import StatePublishers
+from deltacharger_driver.servos.servo_node import StatePublishers
 from deltacharger_ros.messages import seconds
 
 pytestmark = [pytest.mark.ros, pytest.mark.version]

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from deltacharger_bringup.cli.main import main
 from deltacharger_docking.codes import State
 from deltacharger_kinematics.geometry import DeltaGeometry
+from deltacharger_kinematics.geometry_file import save_geometry
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_records.raw_topics import Topic
 from deltacharger_ros import qos
@@ -151,7 +152,8 @@ def test_the_drawn_rods_keep_their_length_and_the_arms_theirs(shown: Recording) 
 
 def test_a_calibrated_geometry_is_drawn(tmp_path: Path, capsys: Capture) -> None:
     scene = tmp_path / "long.yaml"
-    scene.write_text("parameters: {kinematics_node: {arm: 0.11}}\nsimulation: {}\n")
+    save_geometry(DeltaGeometry(arm=0.11), tmp_path / "arm.yaml")
+    scene.write_text(f"parameters: {{kinematics_node: {{geometry_file: {tmp_path / 'arm.yaml'}}}}}\nsimulation: {{}}\n")
     tape = write(tmp_path / "a.mcap", charge()[:40])
     assert run(capsys, "view", "--recording", tape, "--scene", scene, "--save", tmp_path / "a.rrd")[0] == 0
     np.testing.assert_allclose(lengths(Recording(tmp_path / "a.rrd"), "arms"), 0.11, atol=1e-6)
