@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 
 from deltacharger_core.script import NEXT, Script
-from deltacharger_docking import wired
 from deltacharger_docking.clearance import LEAN_SIGMAS, MisalignmentEstimate
 from deltacharger_docking.codes import (
     CriticalAngle,
@@ -23,14 +22,13 @@ from deltacharger_docking.codes import (
     TactileStale,
 )
 from deltacharger_docking.context import SERVICE_TIMEOUT, Context
-from deltacharger_docking.ease import ease
 from deltacharger_docking.energy import check_battery, de_energise, prove_dead, wait_for_single_sources
 from deltacharger_docking.goals import check_place, in_words
 from deltacharger_docking.observation import ElectrodePose, Service
-from deltacharger_docking.press import Look, contact, move_aside
+from deltacharger_docking.press import Look, contact, ease, move_aside
 from deltacharger_docking.release import lift_off
 from deltacharger_docking.standoff import APPROACH_TIMEOUT, approach
-from deltacharger_docking.touch import Target, measure
+from deltacharger_docking.touch import Target, look, measure
 from deltacharger_docking.watch import FIRST_DATA_TIMEOUT
 
 _ROLL_SIGMAS = 2.0  # standard deviations between a detected roll and critical_angle; the seeds were not kept
@@ -69,7 +67,7 @@ def dock(context: Context, target: Target, given: ElectrodePose | None, charges:
 
 def _look(context: Context, target: Target) -> Look | None:
     """Return how to measure at the touch of live electrodes; None = press without."""
-    return (lambda: wired.look(context, target)) if context.touches_live else None
+    return (lambda: look(context, target)) if context.touches_live else None
 
 
 def align(

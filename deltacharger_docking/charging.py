@@ -12,7 +12,7 @@ from deltacharger_docking.codes import CriticalAngle, DockingError, EstimateUnsu
 from deltacharger_docking.context import SAME_SAMPLE, Context
 from deltacharger_docking.energy import NO_CURRENT
 from deltacharger_docking.observation import DockGoal, Reply, Service
-from deltacharger_docking.profile import TargetProfile
+from deltacharger_docking.parameters import TargetProfile
 from deltacharger_docking.touch import MEASURE_TIMEOUT, Target, keep_evidence, with_pitch
 
 CLEARANCE_PERIOD = 2.0  # s, period of clearance checks while charging

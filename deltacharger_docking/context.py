@@ -14,6 +14,7 @@ import numpy as np
 from deltacharger_core.charge_port import ChargeLimits
 from deltacharger_core.machine import ORDER_AGE_MAX
 from deltacharger_core.script import NEXT, Calls, Script, Wait
+from deltacharger_docking.arm import Planner, RemainingShare
 from deltacharger_docking.codes import (
     Astray,
     DockingError,
@@ -22,9 +23,7 @@ from deltacharger_docking.codes import (
     State,
     TactileStale,
 )
-from deltacharger_docking.contact_current import CONTACT_WINDOW, ContactCurrent
-from deltacharger_docking.evidence import CONTACT_LOST_CURRENT, PRESS_AGE_MAX, Evidence
-from deltacharger_docking.motion import Planner
+from deltacharger_docking.contact import CONTACT_LOST_CURRENT, CONTACT_WINDOW, PRESS_AGE_MAX, ContactCurrent, Evidence
 from deltacharger_docking.observation import (
     NAN3,
     Command,
@@ -36,9 +35,7 @@ from deltacharger_docking.observation import (
     Request,
     Service,
 )
-from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.profile import TargetProfile
-from deltacharger_docking.yielding import RemainingShare
+from deltacharger_docking.parameters import DockingParameters, TargetProfile
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.line import way_done
 from deltacharger_kinematics.scalar import ScalarDelta

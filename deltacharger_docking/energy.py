@@ -19,7 +19,7 @@ from deltacharger_docking.codes import (
 )
 from deltacharger_docking.context import Context, Live
 from deltacharger_docking.observation import Reply, Service
-from deltacharger_docking.profile import TargetProfile
+from deltacharger_docking.parameters import TargetProfile
 from deltacharger_docking.watch import (
     DEAD,
     FADED,

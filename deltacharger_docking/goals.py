@@ -11,13 +11,12 @@ from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.parameters import did_you_mean
 from deltacharger_core.texts import wrong_id
 from deltacharger_core.units import far, outside
+from deltacharger_docking.arm import Planner
 from deltacharger_docking.clearance import LEAN_SIGMAS
 from deltacharger_docking.codes import Code, DockingError, Misplaced, Rejected, Unreachable
 from deltacharger_docking.context import Context
-from deltacharger_docking.motion import Planner
 from deltacharger_docking.observation import BasePose, DockGoal, DockingOutcome, ElectrodePose, Observation
-from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.profile import TargetProfile
+from deltacharger_docking.parameters import DockingParameters, TargetProfile
 from deltacharger_docking.release import BACK
 
 

@@ -13,10 +13,10 @@ import math
 from itertools import permutations
 
 from deltacharger_core.script import NEXT, Script
+from deltacharger_docking.arm import LOAD_SHARES
 from deltacharger_docking.codes import NoContact, ServoFailure, State, Stuck
 from deltacharger_docking.context import SETTLE_TOUCHING, Context
 from deltacharger_docking.release import RELEASE_CURRENT, take_off
-from deltacharger_docking.springs import LOAD_SHARES
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.swing import (
     LEAST_DAMPING,

@@ -7,7 +7,7 @@ import math
 from dataclasses import replace
 
 from deltacharger_core.machine import MAGNET_WIDTH
-from deltacharger_core.script import Script
+from deltacharger_core.script import NEXT, Script
 from deltacharger_docking.clearance import (
     CLEARANCE_SIGMAS,
     CLEARANCE_SIGMAS_SURE,
@@ -29,8 +29,8 @@ from deltacharger_docking.codes import (
 from deltacharger_docking.context import SERVICE_TIMEOUT, Context
 from deltacharger_docking.goals import in_words
 from deltacharger_docking.observation import ElectrodePose, Service
+from deltacharger_docking.place import TargetPlace
 from deltacharger_docking.release import LIFT
-from deltacharger_docking.target_place import TargetPlace
 
 _CLEARANCE_CONTACTS = 2  # successive contacts that must pass if one is not enough; chosen as CLEARANCE_SIGMAS
 _ALIGNMENT_TOLERANCE = 0.001  # m, offset from which a move counts as a correction; chosen on seeds 5 and 19
@@ -44,6 +44,7 @@ _UNSURE_MOVE_MIN = 0.002  # m, offset from which an unsure estimate is followed
 ESTIMATE_FRAMES = 24  # tactile frames averaged in one estimate
 MEASURE_TIMEOUT = 10.0  # s, limit for MEASURE
 _DRAWS = 1e-3  # m, times force/width²: lateral stiffness of magnets while the platform lands; chosen on seed 43
+_POWER = 0.1  # s, two periods of charger_power
 
 
 def measure(context: Context) -> Script[MisalignmentEstimate]:
@@ -99,6 +100,42 @@ def record_verdict(context: Context, estimate: MisalignmentEstimate, critical_an
         margin_6_sigma_m=least[2],
     )
     return verdict
+
+
+def look(context: Context, target: Target) -> Script[MisalignmentEstimate | None]:
+    """Measure at the first touch; return the estimate if it forbids pressing further, else None.
+
+    Where the target makes the port live, its voltage shows that no bar bridges it, and only a touch without it is
+    measured. To measure at each touch would take 0.4 s more in median (150 dockings of `default`). Electrodes
+    wired to the battery (power: none) are live whenever they touch.
+
+    It does not wait until the arm rests, since shorted electrodes must not stay in contact. If so light a touch gives
+    no usable estimate, pressing continues and is judged later, unless even the unsure one exceeds the critical angle.
+
+    Raises:
+        CriticalAngle: the target is rolled too far.
+        TactileStale: no estimate arrived.
+    """
+    parameters = context.parameters
+    end = context.time + (0.0 if parameters.always_live else _POWER)
+    while context.time < end and not context.port_shown:
+        yield NEXT
+    if not parameters.always_live and context.port_shown and not context.is_dark:
+        return None
+    context.contact.clear()
+    reply = yield from context.ask(Service.ESTIMATE, TactileStale, SERVICE_TIMEOUT, ESTIMATE_FRAMES)
+    if not reply.success or reply.estimate is None:
+        raise TactileStale(f"no misalignment estimate at the first touch: {reply.message}")
+    context.status.estimate = estimate = with_pitch(context, reply.estimate)
+    text = "the first touch gives an estimate" if estimate.usable else "the touch is too light for an estimate"
+    context.decide("touched", text, contact_current_A=context.contact.value, **estimate.numbers)
+    if not estimate.usable:
+        limit = min(target.critical_angle, parameters.critical_angle)
+        return estimate if estimate.contact and abs(estimate.angle) >= limit else None
+    verdict = record_verdict(context, estimate, target.critical_angle)
+    if verdict is Verdict.CRITICAL:
+        raise CriticalAngle(rolled_too_far(estimate.angle))
+    return estimate if verdict is Verdict.TOO_CLOSE else None
 
 
 class Target:

@@ -33,12 +33,12 @@ from deltacharger_docking.codes import (
     ShortCircuit,
     State,
     TactileStale,
+    TargetRolls,
     VoltageOutOfRange,
 )
+from deltacharger_docking.contact import PRESS_AGE_MAX
 from deltacharger_docking.context import SAME_SAMPLE, SHOWS, YIELDS, Context, Live
-from deltacharger_docking.evidence import PRESS_AGE_MAX
-from deltacharger_docking.profile import TargetProfile
-from deltacharger_docking.release import rolls
+from deltacharger_docking.parameters import TargetProfile
 
 _FAULT_DELAY = 0.15  # s, longest delay of the fault report after a refused renewal
 _PAUSE_MAX = 1.0  # s, longest pause of docking while the electrodes are live
@@ -435,6 +435,13 @@ def duplicate(names: str) -> DuplicateSource:
         f"energising is refused because there is a second source: {names}; stop the second node, or give it its "
         "own namespace or ROS_DOMAIN_ID"
     )
+
+
+def rolls(context: Context, how: str) -> TargetRolls:
+    """Stop where the arm is, and return the error of a target that rolls."""
+    context.hold()
+    context.decide("rolls", how)
+    return TargetRolls(f"the target rolls: {how}; set its brakes, or the charger's")
 
 
 def _power_silent() -> PowerStale:

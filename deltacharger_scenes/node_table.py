@@ -154,12 +154,12 @@ NODES: dict[str, NodeSpec] = {
         parameters=(
             "deltacharger_docking.parameters.DockingParameters",
             "deltacharger_docking.parameters.DockingNodeParameters",
-            "deltacharger_docking.profile.ProfileNames",
+            "deltacharger_docking.parameters.ProfileNames",
             _TRANSFORMS,
             _GEOMETRY,
             _SERVOS,
         ),
-        named=("target_profiles", "deltacharger_docking.profile.TargetProfile"),
+        named=("target_profiles", "deltacharger_docking.parameters.TargetProfile"),
         lacks="no actions dock and undock",
     ),
     "mission_node": NodeSpec(

@@ -19,8 +19,7 @@ from deltacharger_docking.codes import DockingError
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import DockGoal, ElectrodePose, Observation
 from deltacharger_docking.parameters import DockingNodeParameters, DockingParameters
-from deltacharger_docking.ros.inputs import _in_order
-from deltacharger_docking.ros.refusals import MessageRefused
+from deltacharger_docking.ros.inputs import MessageRefused, _in_order
 from deltacharger_mission.parameters import MissionNodeParameters, MissionParameters
 from deltacharger_mission.ros import messages as mission
 from deltacharger_scenes.scene import parse_scene

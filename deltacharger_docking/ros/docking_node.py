@@ -26,8 +26,7 @@ from deltacharger_core.version import package_version
 from deltacharger_docking.codes import Canceled, Code, State
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import Command, DockingOutcome, Observation, Request, Service
-from deltacharger_docking.parameters import DockingNodeParameters, DockingParameters
-from deltacharger_docking.profile import ProfileNames, TargetProfile
+from deltacharger_docking.parameters import DockingNodeParameters, DockingParameters, ProfileNames, TargetProfile
 from deltacharger_docking.ros import messages as io
 from deltacharger_docking.ros.goals import Goals
 from deltacharger_docking.ros.inputs import Inputs

@@ -19,8 +19,8 @@ from deltacharger_docking.goals import suggested_base
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import DockGoal, DockingOutcome, Observation
 from deltacharger_docking.parameters import DockingNodeParameters
-from deltacharger_docking.phase_log import changes
 from deltacharger_docking.ros import messages as io
+from deltacharger_docking.ros.reports import changes
 from deltacharger_ros.action_server import GoalHandle, Work, WorkServer
 from deltacharger_ros.clock import NO_TIME_YET, ClockWatch
 from deltacharger_ros.frames import Frames, TransformError

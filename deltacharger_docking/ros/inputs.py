@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Inputs of docking: the latest message of each topic as one observation. Part of docking_node."""
+"""Inputs of docking: the latest message of each topic as one observation; refusals. Part of docking_node."""
 
 from __future__ import annotations
 
 import math
 import threading
 import time
+from collections import deque
 from collections.abc import Iterable
+from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -20,16 +23,10 @@ from deltacharger_core.host_clock import AHEAD, COMPARE_CLOCKS, HOST, HostClock
 from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, JOINTS, PADS, ROWS, in_words
 from deltacharger_core.units import outside
 from deltacharger_docking.observation import Observation, Reply
-from deltacharger_docking.ros.frame_check import FrameCheck
-from deltacharger_docking.ros.refusals import (
-    MessageRefused,
-    Refusals,
-    stamp_and_sequence,
-    stamp_seconds,
-)
 from deltacharger_ros.clock import ANOTHER_CLOCK, ClockWatch, age
 from deltacharger_ros.duplicates import Duplicates
 from deltacharger_ros.log import Log
+from deltacharger_ros.messages import seconds
 from deltacharger_ros.on_demand import LatestMessage, PolledTopic
 
 _BACKLOG = 64  # tactile frames, half a second: frames are kept while docking's thread is delayed
@@ -279,3 +276,95 @@ def _two_pads(message: TactileFrame) -> TactileFrame:
 
 _CHECKS: dict[type[Any], Any] = {ServoState: _in_order, TactileFrame: _two_pads}
 _NAMES: dict[type[Any], str] = dict(zip((ServoState, TactileFrame, ChargerPower), SOURCES, strict=False))
+
+
+_KEPT = 1024  # frames, 8 s: more than the longest request for an estimate takes
+_SHARE = 0.5  # of an estimate's frames that docking must have received: a best-effort topic loses some
+# The arm has rested for longer than this when an estimate is requested, and clocks of two computers may differ by this
+# much (`host_clock.AHEAD`): a frame sampled this long before the request was still sampled after the last move.
+_BEFORE = 0.1  # s
+
+
+class FrameCheck:
+    """Stores sequence numbers of recent frames, and checks estimates against them."""
+
+    def __init__(self) -> None:
+        self._frames: deque[tuple[int, float]] = deque(maxlen=_KEPT)
+
+    def add(self, sequence: int, sampled: float) -> None:
+        """Add a frame sampled at `sampled`, s monotonic."""
+        self._frames.append((sequence, sampled))
+
+    def checked(self, reply: Reply) -> Reply:
+        """Return the reply, or a refusal in its place if its estimate is not confirmed."""
+        if reply.estimate is None:
+            return reply
+        doubt = self._doubt(reply.sequences, reply.asked - _BEFORE)
+        if not doubt:
+            return reply
+        text = f"the estimate is not confirmed: {doubt}; check for a second server of predict_misalignment"
+        return replace(reply, success=False, message=text, estimate=None)
+
+    def _doubt(self, named: tuple[int, ...], since: float) -> str:
+        """Return why the frames may not have been sampled after `since` (s, monotonic); '' = no reason."""
+        if not named:
+            return "it does not name the frames that it averaged"
+        if any(later <= earlier for earlier, later in pairwise(named)):
+            return "it names tactile frames twice or out of order"
+        fresh = {sequence for sequence, sampled in self._frames if sampled > since}
+        known = len(fresh.intersection(named))
+        if known < _SHARE * len(named) or not known:
+            return f"docking received only {known} of its {len(named)} tactile frames after the request"
+        first = min(fresh)  # an earlier frame with a higher number is from before a restart of tactile_node
+        if any(named[0] <= sequence < first for sequence, sampled in self._frames if sampled <= since):
+            return "some of its tactile frames were sampled before the request"
+        return ""
+
+
+class MessageRefused(Exception):
+    """A message is refused. Example: its stamp lies in the future."""
+
+
+class Refusals:
+    """Refused messages.
+
+    Attributes:
+        count: number of messages.
+        last: reason of the last one.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.last = ""
+
+    def add(self, topic: str, reason: str) -> None:
+        """Count a refused message."""
+        self.count += 1
+        self.last = f"{topic}: {reason}"
+
+
+def stamp_seconds(stamp: Any) -> float:
+    """Return a stamp in s.
+
+    Raises:
+        MessageRefused: the stamp is invalid.
+    """
+    if stamp.sec < 0 or stamp.nanosec >= 1_000_000_000:
+        raise MessageRefused(f"its stamp is invalid: {stamp.sec} s and {stamp.nanosec} ns")
+    return seconds(stamp)
+
+
+def stamp_and_sequence(data: bytes, longest: int) -> tuple[float, int]:
+    """Return stamp (s) and sequence, the first fields of a CDR message of at most `longest` bytes.
+
+    Raises:
+        MessageRefused: the bytes are invalid.
+    """
+    if not 24 <= len(data) <= longest:
+        raise MessageRefused(f"it has {len(data)} bytes; allowed are 24 to {longest}")
+    order: Any = "little" if data[1] & 1 else "big"
+    second, nanosecond, length = (int.from_bytes(data[at : at + 4], order) for at in (4, 8, 12))
+    start = 4 + (12 + length + 7) // 8 * 8  # behind frame_id, aligned to its size from the end of the CDR header
+    if second >= 1 << 31 or nanosecond >= 1_000_000_000 or start + 8 > len(data):
+        raise MessageRefused("it does not begin with a valid stamp, frame_id and sequence")
+    return second + 1e-9 * nanosecond, int.from_bytes(data[start : start + 8], order)

@@ -26,8 +26,8 @@ from trajectory_msgs.msg import JointTrajectory
 
 from deltacharger_core.machine import in_words
 from deltacharger_core.servos_file import STIFFNESS_MAX, STIFFNESS_MIN
+from deltacharger_docking.arm import Planner
 from deltacharger_docking.codes import Unreachable
-from deltacharger_docking.motion import Planner
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.ros.messages import trajectory
 from deltacharger_kinematics import DeltaGeometry

@@ -23,8 +23,7 @@ from deltacharger_docking.context import Context
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.press import ALIGN_TIMEOUT, contact
-from deltacharger_docking.release import lift_off
-from deltacharger_docking.retract import RETRACT_TIMEOUT, retract
+from deltacharger_docking.release import RETRACT_TIMEOUT, lift_off, retract
 from deltacharger_docking.standoff import approach
 from deltacharger_docking.touch import MEASURE_TIMEOUT
 from deltacharger_kinematics.geometry import Vector

@@ -14,7 +14,7 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Image
 
 from deltacharger_core.mcap_file import RecordingError
-from deltacharger_docking.contact_current import ContactCurrent
+from deltacharger_docking.contact import ContactCurrent
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.scalar import ScalarDelta

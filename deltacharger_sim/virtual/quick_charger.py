@@ -24,11 +24,10 @@ from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array
 from deltacharger_core.machine import CONTACT_FORCE, SERVO_DAMPING
-from deltacharger_docking.contact_current import CONTACT_WINDOW
+from deltacharger_docking.contact import CONTACT_WINDOW
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import Reply, Service
-from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.profile import TargetProfile
+from deltacharger_docking.parameters import DockingParameters, TargetProfile
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.trajectory_feed import Waypoint
 from deltacharger_sim.pads.pad_source import PadSource

@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterator
 from itertools import pairwise
 
-from deltacharger_docking.motion import Planner
+from deltacharger_docking.arm import Planner
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.line import PEAK_SPEED, REFUSED, ArmLimits, way_done

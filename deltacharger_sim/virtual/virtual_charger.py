@@ -47,8 +47,7 @@ from deltacharger_docking.observation import (
     Request,
     Service,
 )
-from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.profile import TargetProfile
+from deltacharger_docking.parameters import DockingParameters, TargetProfile
 from deltacharger_driver.board.protocol import POWER_RATE, AckError
 from deltacharger_driver.emulators.power import EmulatedPower
 from deltacharger_driver.servos.motion import STOP_TIME, JointWatch

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from deltacharger_docking.arm import Planner
 from deltacharger_docking.codes import Unreachable
-from deltacharger_docking.motion import Planner
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_lab.campaigns.docking import dock_once

@@ -27,30 +27,27 @@ from deltacharger_core.servo_types import MX_64, XM430_W350, ServoType
 from deltacharger_core.servos_file import MeasuredServo
 from deltacharger_docking import (
     algorithm,
+    arm,
     charging,
     clearance,
     codes,
+    contact,
     context,
     energy,
-    evidence,
     goals,
     machine,
     place,
     press,
     release,
-    retract,
     standoff,
     touch,
     watch,
-    wired,
 )
-from deltacharger_docking import motion as docking_motion
 from deltacharger_docking.clearance import MisalignmentEstimate, Verdict, clearance_stddev, judge
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.observation import DockGoal, ElectrodePose, Observation, Reply
-from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.profile import TargetProfile
-from deltacharger_docking.ros.frame_check import FrameCheck
+from deltacharger_docking.parameters import DockingParameters, TargetProfile
+from deltacharger_docking.ros.inputs import FrameCheck
 from deltacharger_driver.board import contactor, protocol
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.power import EmulatedPower, PowerStage, StageParameters, StageReading
@@ -478,7 +475,7 @@ def looks(**changes: Any) -> bool:
     """Return whether the arm may press live electrodes (power: none) after this first estimate."""
     shared = scene()
     shared.use_parameters(replace(PARAMETERS, power="none"))
-    script = wired.look(shared, touch.Target(shared, 12.0 * DEGREE))
+    script = touch.look(shared, touch.Target(shared, 12.0 * DEGREE))
     return answered(script, shared, estimate=estimate(**changes)) is None
 
 
@@ -901,9 +898,9 @@ CONSTANTS: dict[str, tuple[float, float]] = {
     "blind checks": (charging.BLIND_MAX, 3),
     "period of checks, s": (charging.CLEARANCE_PERIOD, 2.0),
     "frames of a check": (charging._CLEARANCE_FRAMES, 12),
-    "contact that is lost, A": (evidence.CONTACT_LOST_CURRENT, 0.15),
-    "retreat that loses contact, m": (evidence._CONTACT_LOST_RETREAT, 0.0015),
-    "data that stop the arm, s": (evidence.PRESS_AGE_MAX, 0.1),
+    "contact that is lost, A": (contact.CONTACT_LOST_CURRENT, 0.15),
+    "retreat that loses contact, m": (contact._CONTACT_LOST_RETREAT, 0.0015),
+    "data that stop the arm, s": (contact.PRESS_AGE_MAX, 0.1),
     "pause of docking, s": (watch._PAUSE_MAX, 1.0),
     "thermal reserve, s": (watch._THERMAL_RESERVE_MIN, 5.0),
     "first data, s": (watch.FIRST_DATA_TIMEOUT, 3.0),
@@ -919,8 +916,8 @@ CONSTANTS: dict[str, tuple[float, float]] = {
     "CONTACT, s": (press.CONTACT_TIMEOUT, 45.0),
     "MEASURE, s": (touch.MEASURE_TIMEOUT, 10.0),
     "ALIGN, s": (press.ALIGN_TIMEOUT, 45.0),
-    "RETRACT, s": (retract.RETRACT_TIMEOUT, 20.0),
-    "push above the band, A": (docking_motion._PUSH_ABOVE, 0.2),
+    "RETRACT, s": (release.RETRACT_TIMEOUT, 20.0),
+    "push above the band, A": (arm._PUSH_ABOVE, 0.2),
     "step above the band, A": (press._STEP_ABOVE, 0.1),
     "overshoots": (press._OVERSHOOTS_MAX, 3),
     "pull, A": (release.RELEASE_CURRENT, 4.0),
@@ -942,12 +939,12 @@ def test_constant(what: str) -> None:
 def test_the_numbers_of_docking_fit_each_other() -> None:
     """What were contradictions between parameters, before these became constants."""
     lowest = DockingParameters(current_min=0.15, current_max=0.19)
-    assert release.FREE_CURRENT < evidence.CONTACT_LOST_CURRENT <= lowest.current_min
-    assert lowest.current_max + press._STEP_ABOVE < docking_motion.push_current(lowest)
+    assert release.FREE_CURRENT < contact.CONTACT_LOST_CURRENT <= lowest.current_min
+    assert lowest.current_max + press._STEP_ABOVE < arm.push_current(lowest)
     assert clearance.CLEARANCE_SIGMAS < clearance.CLEARANCE_SIGMAS_SURE
     assert energy._OPENING_TIME + 0.2 < energy.OPEN_TIMEOUT  # s until charger_power shows it at the latest
     slowest = {each.name: each.low for each in declared(DockingParameters) if each.name.endswith("_speed")}
-    assert PEAK_SPEED * 0.11 / slowest["travel_speed"] < min(press.ALIGN_TIMEOUT, retract.RETRACT_TIMEOUT)
+    assert PEAK_SPEED * 0.11 / slowest["travel_speed"] < min(press.ALIGN_TIMEOUT, release.RETRACT_TIMEOUT)
     assert PEAK_SPEED * 0.11 / standoff._APPROACH_SPEED < standoff.APPROACH_TIMEOUT
     assert PEAK_SPEED * (press._SEARCH_FROM + 0.05) / slowest["search_speed"] < press.CONTACT_TIMEOUT
     assert PEAK_SPEED * press._NEAR / slowest["press_speed"] < press.CONTACT_TIMEOUT

@@ -18,8 +18,7 @@ from deltacharger_core.charge_port import ChargeLimits
 from deltacharger_docking import charging, context
 from deltacharger_docking.codes import Code, NoChargeCurrent
 from deltacharger_docking.observation import Observation
-from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.profile import TargetProfile
+from deltacharger_docking.parameters import DockingParameters, TargetProfile
 from deltacharger_kinematics.geometry import DeltaGeometry
 
 SEVEN = TargetProfile(19.0, 29.4, 10.0, 0.5)

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from deltacharger_core.texts import REQUEST_ID_MAX
-from deltacharger_docking import energy, retract
+from deltacharger_docking import energy, release
 from deltacharger_docking.charging import CLEARANCE_PERIOD
 from deltacharger_docking.codes import Busy, Code, DockingError, Rejected, State
 from deltacharger_docking.observation import DockGoal, Observation, Reply, Service
@@ -394,7 +394,7 @@ def test_a_failure_right_after_the_close_waits_until_the_contactor_is_open() -> 
 
 @pytest.mark.parametrize("fault", [{"servo_age": 0.2}, {"angles": NAN3, "servos_valid": False}])
 def test_retracting_ends_with_any_servo_data(monkeypatch: pytest.MonkeyPatch, fault: dict[str, Any]) -> None:
-    monkeypatch.setattr(retract, "RETRACT_TIMEOUT", 3.0)
+    monkeypatch.setattr(release, "RETRACT_TIMEOUT", 3.0)
     run = quick_charger()
     reach(run, State.MEASURE)
     run.machine.cancel()

@@ -18,8 +18,8 @@ from std_srvs.srv import SetBool, Trigger
 from deltacharger_core.parameters import ParameterError
 from deltacharger_core.rotation import IDENTITY, product, rotation
 from deltacharger_core.texts import MESSAGE_MAX
+from deltacharger_docking.arm import Planner
 from deltacharger_docking.codes import Rejected
-from deltacharger_docking.motion import Planner
 from deltacharger_docking.observation import BasePose, ElectrodePose, Reply, Request, Service
 from deltacharger_docking.parameters import DockingNodeParameters, DockingParameters
 from deltacharger_docking.ros import messages as io

@@ -23,8 +23,7 @@ from deltacharger_core.host_clock import HostClock
 from deltacharger_core.machine import JOINTS
 from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.observation import Observation, Reply
-from deltacharger_docking.ros.frame_check import FrameCheck
-from deltacharger_docking.ros.inputs import Heard
+from deltacharger_docking.ros.inputs import FrameCheck, Heard
 
 NAN, INF = math.nan, math.inf
 TICK = 0.01  # s

@@ -16,10 +16,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from deltacharger_docking import algorithm, retract
+from deltacharger_docking import algorithm, release
 from deltacharger_docking.clearance import Verdict, judge
 from deltacharger_docking.codes import Code, DockingError, State
-from deltacharger_docking.evidence import CONTACT_LOST_CURRENT
+from deltacharger_docking.contact import CONTACT_LOST_CURRENT
 from deltacharger_docking.observation import Command, DockGoal, Observation, Reply, Service
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_sim.virtual.virtual_charger import GOAL
@@ -50,7 +50,7 @@ LEGAL: dict[State, set[State]] = {
 def short_phases() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(algorithm, "_LOCATE_TIMEOUT", LOCATE_TIMEOUT)
-        patch.setattr(retract, "RETRACT_TIMEOUT", RETRACT_TIMEOUT)
+        patch.setattr(release, "RETRACT_TIMEOUT", RETRACT_TIMEOUT)
         yield
 
 

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from deltacharger_core.machine import TORQUE_CONSTANT
+from deltacharger_docking.arm import Planner, push_current
 from deltacharger_docking.codes import Code, State, Unreachable
 from deltacharger_docking.machine import DockingMachine
-from deltacharger_docking.motion import Planner, push_current
 from deltacharger_docking.observation import DockGoal, ElectrodePose
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_driver.servos import motion as driver

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.observation import Command, DockingStatus, Observation
-from deltacharger_docking.phase_log import PhaseLog, changes
+from deltacharger_docking.ros.reports import PhaseLog, changes
 from deltacharger_sim.virtual.virtual_charger import VirtualCharger
 
 from .dockings import quick_charger

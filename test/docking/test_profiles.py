@@ -13,8 +13,7 @@ import pytest
 from deltacharger_core.charge_port import ChargeLimits
 from deltacharger_docking.codes import Code, Rejected, State
 from deltacharger_docking.observation import DockGoal, DockingOutcome, Reply, Service
-from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.profile import TargetProfile
+from deltacharger_docking.parameters import DockingParameters, TargetProfile
 from deltacharger_sim.virtual.virtual_charger import GOAL, VirtualCharger
 
 from .dockings import assert_safe_at_home, commands, decisions, docked, ends, quick_charger, reach, spoil

@@ -11,12 +11,12 @@ import pytest
 from deltacharger_core.machine import SERVO_DAMPING, TORQUE_CONSTANT
 from deltacharger_core.script import Script
 from deltacharger_core.servo_types import MX_64
+from deltacharger_docking.arm import Springs
 from deltacharger_docking.codes import Code, State
-from deltacharger_docking.contact_current import ContactCurrent
+from deltacharger_docking.contact import ContactCurrent
 from deltacharger_docking.context import Context
 from deltacharger_docking.observation import DockGoal, ElectrodePose
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.springs import Springs
 from deltacharger_driver.servos.report import ThermalModel
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.scalar import ScalarDelta

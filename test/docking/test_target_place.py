@@ -14,23 +14,23 @@ import numpy as np
 import pytest
 
 from deltacharger_core.machine import DOCKING_JITTER, MAGNET_FLOOR, MAGNET_FORCE, MAGNET_WIDTH, PAD_YAW_STIFFNESS
-from deltacharger_docking import along, place
-from deltacharger_docking import target_place as place_of_target
-from deltacharger_docking.along import (
+from deltacharger_docking import place as place_of_target
+from deltacharger_docking.arm import RemainingShare
+from deltacharger_docking.clearance import MisalignmentEstimate, Verdict, clearance, judge
+from deltacharger_docking.observation import ElectrodePose
+from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.place import (
     FORCE_ERROR,
+    GAIN_ERROR,
     HORIZONTAL_SHARED,
     LOAD_PER_YAW,
     AlongFilter,
+    AxisFilter,
     LookAlong,
+    MagnetPull,
+    TargetPlace,
     empty_pad_offset,
 )
-from deltacharger_docking.clearance import MisalignmentEstimate, Verdict, clearance, judge
-from deltacharger_docking.magnet_pull import MagnetPull
-from deltacharger_docking.observation import ElectrodePose
-from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.place import GAIN_ERROR, AxisFilter
-from deltacharger_docking.target_place import TargetPlace
-from deltacharger_docking.yielding import RemainingShare
 
 MILLIMETRE, DEGREE = 1e-3, math.radians(1.0)
 PARAMETERS = DockingParameters()
@@ -292,8 +292,8 @@ class Target:
         self._bias = random.normal(0.0, math.hypot(bias_stddev, HORIZONTAL_SHARED))
         self._gain = random.normal(0.0, GAIN_ERROR)
         self._scale = 1.0 + random.normal(0.0, FORCE_ERROR)
-        width = MAGNET_WIDTH * (1.0 + random.normal(0.0, along._MAGNET_WIDTH_ERROR))
-        force = MAGNET_FORCE * (1.0 + random.normal(0.0, along._MAGNET_ERROR))
+        width = MAGNET_WIDTH * (1.0 + random.normal(0.0, place_of_target._MAGNET_WIDTH_ERROR))
+        force = MAGNET_FORCE * (1.0 + random.normal(0.0, place_of_target._MAGNET_ERROR))
         self._pull = MagnetPull(force, width)
         self.landed = math.nan
 
@@ -374,8 +374,8 @@ def test_no_probe_is_planned_that_would_leave_a_pad_empty() -> None:
             limit = empty_pad_offset(pull + PUSH)
             assert not plan.aside or abs(tracker.bias + plan.aside) <= limit
         asides = {plan.aside for plan in tracker.plans(0.004)}
-        assert (along._PROBE_OFFSET in asides) == (tracker.bias + along._PROBE_OFFSET < most)
-        assert -along._PROBE_OFFSET in asides
+        assert (place_of_target._PROBE_OFFSET in asides) == (tracker.bias + place_of_target._PROBE_OFFSET < most)
+        assert -place_of_target._PROBE_OFFSET in asides
 
 
 def test_estimates_that_contradict_the_arms_moves_are_detected() -> None:
@@ -482,7 +482,7 @@ def test_a_known_pitch_only_makes_the_verdict_stricter_and_an_unknown_one_change
 
 
 def test_a_far_first_contact_does_not_outweigh_near_ones(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(place, "DOCKING_JITTER", 0.0005)
+    monkeypatch.setattr(place_of_target, "DOCKING_JITTER", 0.0005)
     tracker = AxisFilter()
     tracker.update(0.0, 0.010, 1e-4)  # reads 10 mm, truth 8 mm
     tracker.update(0.010, -0.002, 1e-4)

@@ -10,8 +10,7 @@ from dataclasses import dataclass, field, replace
 
 from deltacharger_core.parameters import ParameterError
 from deltacharger_docking.observation import ElectrodePose
-from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.profile import TargetProfile
+from deltacharger_docking.parameters import DockingParameters, TargetProfile
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_lab.campaigns.assumed import assumed_geometry
 from deltacharger_lab.campaigns.disturbances import Nudge

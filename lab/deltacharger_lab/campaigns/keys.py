@@ -8,8 +8,7 @@ import math
 from dataclasses import dataclass, field
 
 from deltacharger_core.parameters import Declaration, choice, declared, flag, number
-from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.profile import TargetProfile
+from deltacharger_docking.parameters import DockingParameters, TargetProfile
 from deltacharger_lab.campaigns.assumed import Assumed
 from deltacharger_lab.campaigns.disturbances import Nudge, Parked, Taxels
 from deltacharger_lab.campaigns.pads import FIRST, PACKAGED, PADS, POSE_MODELS

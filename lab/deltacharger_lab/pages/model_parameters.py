@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from deltacharger_core.parameters import Declaration, declared
-from deltacharger_docking.profile import TargetProfile
+from deltacharger_docking.parameters import TargetProfile
 from deltacharger_lab.campaigns.keys import FACTS, PARTS, known_keys
 from deltacharger_lab.second.parameters import SecondParameters
 from deltacharger_sim.parameters import WorldParameters
