@@ -148,6 +148,16 @@ def least_clearance(estimate: MisalignmentEstimate, parameters: DockingParameter
     return clearance(estimate.angle, shifted, gap, length) - sigmas * clearance_stddev(estimate, gap, length)
 
 
+def limit_of(parameters: DockingParameters, critical_angle: float | None = None) -> float:
+    """Return the critical angle (rad) that applies: the parameter's, or a goal's if that is lower; None = no goal's."""
+    return parameters.critical_angle if critical_angle is None else min(critical_angle, parameters.critical_angle)
+
+
+def reaches_limit(angle: float, parameters: DockingParameters, critical_angle: float) -> bool:
+    """Return whether an angle (rad) reaches the critical one by itself, be it as unsure as it may."""
+    return abs(angle) >= limit_of(parameters, critical_angle)
+
+
 def judge(
     estimate: MisalignmentEstimate, parameters: DockingParameters, critical_angle: float | None = None
 ) -> Verdict:
@@ -159,7 +169,7 @@ def judge(
         critical_angle: a lower limit (rad) than the parameter's.
     """
     gap, length = parameters.electrode_half_gap, parameters.electrode_half_length
-    limit = parameters.critical_angle if critical_angle is None else min(critical_angle, parameters.critical_angle)
+    limit = limit_of(parameters, critical_angle)
     sigma = clearance_stddev(estimate, gap, length)
     centred = clearance(estimate.angle, 0.0, gap, length)
     worst_angle = abs(estimate.angle) + CLEARANCE_SIGMAS * estimate.angle_stddev

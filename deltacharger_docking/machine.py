@@ -15,7 +15,7 @@ from deltacharger_core.script import NEXT, Runner, Script
 from deltacharger_docking.algorithm import align, dock
 from deltacharger_docking.arm import Planner
 from deltacharger_docking.charging import Order, charge, clearance_checks
-from deltacharger_docking.clearance import judge
+from deltacharger_docking.clearance import judge, limit_of
 from deltacharger_docking.codes import (
     Astray,
     Busy,
@@ -246,7 +246,7 @@ class DockingMachine:
         text = "electrodes as given" if place else "the camera will locate the electrodes"
         text += f"; profile {self._context.profile_name}" if self._context.profile else ""
         options = {"stop_energy_J": goal.stop_energy, "stop_after_s": goal.stop_after, "hold": float(goal.hold)}
-        limit = goal.critical_angle or self.parameters.critical_angle
+        limit = limit_of(self.parameters, goal.critical_angle or None)
         self._context.decide("accepted", text, **place, critical_angle_rad=limit, **options)
 
     def _problem(self) -> DockingError | None:
@@ -339,7 +339,7 @@ class TargetVisit:
         self._context = context
         self._desk = desk
         self._goal = goal  # the first one
-        limit = goal.critical_angle or context.parameters.critical_angle
+        limit = limit_of(context.parameters, goal.critical_angle or None)
         self._order = Order(goal, limit, context.started)
         self._target = Target(context, limit)
         self._is_new = False  # a further goal has not been handled yet

@@ -16,6 +16,7 @@ from deltacharger_docking.clearance import (
     Verdict,
     judge,
     least_clearance,
+    reaches_limit,
 )
 from deltacharger_docking.codes import (
     CriticalAngle,
@@ -130,8 +131,8 @@ def look(context: Context, target: Target) -> Script[MisalignmentEstimate | None
     text = "the first touch gives an estimate" if estimate.usable else "the touch is too light for an estimate"
     context.decide("touched", text, contact_current_A=context.contact.value, **estimate.numbers)
     if not estimate.usable:
-        limit = min(target.critical_angle, parameters.critical_angle)
-        return estimate if estimate.contact and abs(estimate.angle) >= limit else None
+        forbids = estimate.contact and reaches_limit(estimate.angle, parameters, target.critical_angle)
+        return estimate if forbids else None
     verdict = record_verdict(context, estimate, target.critical_angle)
     if verdict is Verdict.CRITICAL:
         raise CriticalAngle(rolled_too_far(estimate.angle))
@@ -342,8 +343,8 @@ class Target:
         )
 
     def _give_up(self, estimate: MisalignmentEstimate) -> None:
-        limit = min(self.critical_angle, self._context.parameters.critical_angle)
-        if math.isfinite(estimate.angle) and abs(estimate.angle) >= limit:
+        parameters, angle = self._context.parameters, estimate.angle
+        if math.isfinite(angle) and reaches_limit(angle, parameters, self.critical_angle):
             raise CriticalAngle(rolled_too_far(estimate.angle))
         what = "outside the estimator's range" if not estimate.in_range else "unsure"
         raise EstimateUnsure(f"the tactile estimate stayed {what} in {self._unsure} contacts; check pads and target")
