@@ -102,16 +102,6 @@ def test_servos_and_board_know_nothing_of_each_other() -> None:
         assert not sorted(name for name in found if name.startswith(f"deltacharger_driver.{other}."))
 
 
-def test_no_two_public_classes_have_one_name() -> None:
-    homes: dict[str, list[str]] = {}
-    for module, text in texts().items():
-        for name in re.findall(r"^class ([A-Za-z]\w*)", text, re.MULTILINE):
-            homes.setdefault(name, []).append(module)
-    assert not {name: found for name, found in homes.items() if len(found) > 1}
-    messages = {path.stem for folder in ("msg", "srv", "action") for path in (ROOT / folder).iterdir()}
-    assert not messages & homes.keys(), "a class that is no message has a message's name"
-
-
 def test_product_code_does_not_depend_on_assert() -> None:
     """Asserts only help mypy; they call nothing, and no input can violate them."""
     for module, text in texts().items():
