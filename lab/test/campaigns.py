@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from deltacharger_lab.campaigns.scene import CampaignScene, parse_campaign_scene
-from deltacharger_lab.campaigns.settings import CampaignSettings, versions
+from deltacharger_lab.campaigns.store import CampaignSettings, versions
 
 # A stiff arm close to its target, so that a docking takes a few hundredths of a second.
 QUICK: dict[str, Any] = {

@@ -19,14 +19,12 @@ import pytest
 import yaml
 
 from deltacharger_bringup.cli.main import main
-from deltacharger_lab.campaigns import batch, docking, runner
-from deltacharger_lab.campaigns.batch import batches, run_batch
+from deltacharger_lab.campaigns import docking, runner
 from deltacharger_lab.campaigns.compare import compare_campaigns, compare_numbers, compare_rates, mcnemar
 from deltacharger_lab.campaigns.docking import RESULTS, columns, dock_once
 from deltacharger_lab.campaigns.draw import draw
-from deltacharger_lab.campaigns.runner import run_missing
-from deltacharger_lab.campaigns.settings import CampaignError, CampaignRefused
-from deltacharger_lab.campaigns.store import Store, read_results
+from deltacharger_lab.campaigns.runner import batches, run_batch, run_missing
+from deltacharger_lab.campaigns.store import CampaignError, CampaignRefused, Store, read_results
 from deltacharger_lab.campaigns.summary import summarise, wilson
 from deltacharger_sim.virtual.virtual_charger import TICK, VirtualCharger
 from test.chargers import Process, wait_until
@@ -247,7 +245,7 @@ def test_a_crash_becomes_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_worker_with_other_versions_computes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     text = settings(1).to_json()
-    monkeypatch.setattr(batch, "versions", lambda: {"python": "2.7", "numpy": "1", "deltacharger": "0", "code": "x"})
+    monkeypatch.setattr(runner, "versions", lambda: {"python": "2.7", "numpy": "1", "deltacharger": "0", "code": "x"})
     with pytest.raises(CampaignError, match=r"python 2\.7 instead of"):
         run_batch(text, [0])
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from deltacharger_lab.campaigns import settings
+from deltacharger_lab.campaigns import store
 from test.marks import night, rest
 
 RUN = """
@@ -33,7 +33,7 @@ def test_every_module_that_a_docking_loads_is_covered() -> None:
     ran = subprocess.run([sys.executable, "-c", RUN], stdout=subprocess.PIPE, text=True, check=True)
     loaded = {name: Path(file) for name, file in json.loads(ran.stdout).items()}
     assert len(loaded) > 50
-    covered = {path for _, path in settings.computing()}
+    covered = {path for _, path in store.computing()}
     missing = {
         name
         for name, path in loaded.items()
@@ -44,21 +44,21 @@ def test_every_module_that_a_docking_loads_is_covered() -> None:
 
 @pytest.mark.parametrize("step", [rest(100), night(1)])
 def test_an_edit_of_any_file_changes_the_digest(monkeypatch: pytest.MonkeyPatch, step: int) -> None:
-    files = dict(settings.computing())
-    known = {path: settings.meaning(path) for path in files.values()}
+    files = dict(store.computing())
+    known = {path: store.meaning(path) for path in files.values()}
     edits, edited = list(files.values())[::step], list[Path]()
-    monkeypatch.setattr(settings, "meaning", lambda path: known[path] + (b"x" if path in edited else b""))
-    first, found = settings._digest(), set()
+    monkeypatch.setattr(store, "meaning", lambda path: known[path] + (b"x" if path in edited else b""))
+    first, found = store._digest(), set()
     for edited[:] in ([path] for path in edits):
-        found.add(settings._digest())
+        found.add(store._digest())
     assert len(found | {first}) == len(edits) + 1
-    assert {name.partition("/")[0] for name in files} == {*settings._COMPUTES, "config"}
+    assert {name.partition("/")[0] for name in files} == {*store._COMPUTES, "config"}
 
 
 def test_comments_and_docstrings_do_not_change_the_digest_and_numbers_do(tmp_path: Path) -> None:
     def meaning(text: str) -> bytes:
         (tmp_path / "module.py").write_text(text, "utf-8")
-        return settings.meaning(tmp_path / "module.py")
+        return store.meaning(tmp_path / "module.py")
 
     plain = meaning("A = 1\ndef f():\n    return 'x'\n")
     assert (

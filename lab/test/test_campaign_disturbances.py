@@ -16,11 +16,10 @@ from deltacharger_kinematics.geometry import DeltaGeometry, LimbAdjustment
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_kinematics.trajectory_feed import Waypoint
 from deltacharger_lab.campaigns import docking
-from deltacharger_lab.campaigns.assumed import assumed_geometry
 from deltacharger_lab.campaigns.disturbances import LASTS, high_row, watched_after
 from deltacharger_lab.campaigns.docking import columns, dock_once, make_charger
 from deltacharger_lab.campaigns.draw import Drawn, draw
-from deltacharger_lab.campaigns.parts import build_parts
+from deltacharger_lab.campaigns.parts import assumed_geometry, build_parts
 from deltacharger_lab.campaigns.scene import load_campaign_scene
 from deltacharger_lab.second.parameters import SecondParameters
 from deltacharger_sim.pads.source import ContactSource

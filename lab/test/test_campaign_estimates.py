@@ -13,12 +13,12 @@ import pytest
 from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.observation import Reply, Service
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_lab.campaigns.disturbances import SECONDS
 from deltacharger_lab.campaigns.docking import columns, dock_once
 from deltacharger_lab.campaigns.estimates import AXES, EstimateLog
 from deltacharger_lab.campaigns.keys import EstimatorErrors
-from deltacharger_lab.campaigns.paper import PaperClasses
+from deltacharger_lab.campaigns.published import PaperClasses
 from deltacharger_lab.campaigns.scene import parse_campaign_scene
-from deltacharger_lab.campaigns.servo_load import SECONDS
 
 from .campaigns import QUICK
 

@@ -15,17 +15,15 @@ import pytest
 
 from deltacharger_core.parameters import Declaration, ParameterError, declared
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_lab.campaigns.assumed import Assumed
 from deltacharger_lab.campaigns.draw import draw, zero_angle
 from deltacharger_lab.campaigns.keys import TAKEN, EstimatorErrors, known_keys
-from deltacharger_lab.campaigns.parts import build_parts
+from deltacharger_lab.campaigns.parts import Assumed, build_parts, read_spread
 from deltacharger_lab.campaigns.scene import (
     CampaignScene,
     load_campaign_scene,
     packaged_campaigns,
     parse_campaign_scene,
 )
-from deltacharger_lab.campaigns.spread import read_spread
 from deltacharger_scenes.scene import SceneError
 from deltacharger_sim.clearance import Overlap
 from deltacharger_sim.parameters import ServoParameters, WorldParameters

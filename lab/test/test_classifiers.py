@@ -13,13 +13,10 @@ import pytest
 from numpy.typing import NDArray
 
 import deltacharger_tactile
-from deltacharger_lab.reports.tactile.fusion import groups, together
-from deltacharger_lab.reports.tactile.splits import by_frame, leave_one_out
-from deltacharger_lab.training import familiarity, reliability, splits
+from deltacharger_lab.training import reliability, splits
 from deltacharger_lab.training.classifier import DEFAULT, TrainableClassifier
-from deltacharger_lab.training.familiarity import WINDOW, Familiarity
 from deltacharger_lab.training.judgement import evaluate_classifier
-from deltacharger_lab.training.reliability import Reliability
+from deltacharger_lab.training.reliability import WINDOW, Familiarity, Reliability
 from deltacharger_sim.pads.generator import generate_continuous, generate_paper, measure
 from deltacharger_sim.pads.sensor import Rig
 from deltacharger_tactile.classifiers import labels, packaged
@@ -153,7 +150,7 @@ def test_a_target_uses_the_rows_that_vary_it(data: Dataset) -> None:
     assert (examples(continuous, "angle").values <= np.radians(5.5)).all()
 
 
-def test_a_split_never_separates_a_docking_and_leaves_each_rig_out_once(angle: Examples) -> None:
+def test_a_split_never_separates_a_docking(angle: Examples) -> None:
     double = Examples(*(np.repeat(getattr(angle, name), 2, axis=0) for name in Examples.__dataclass_fields__))
     learns, judges = splits.by_docking(double, seed=3)
     assert not set(double.groups[learns]) & set(double.groups[judges])
@@ -161,13 +158,6 @@ def test_a_split_never_separates_a_docking_and_leaves_each_rig_out_once(angle: E
     judged = [set(double.groups[rows]) for _, rows in splits.thirds(double, seed=3)]
     assert set.union(*judged) == set(double.groups)
     assert sum(map(len, judged)) == len(angle)
-    mixed, others = by_frame(double, 3, 0.67)
-    assert set(double.groups[mixed]) & set(double.groups[others])
-    rigs = examples(small_paper((1, 2), angles=1, positions=1), "vertical")
-    parts = leave_one_out(rigs, "rigs")
-    assert [set(rigs.rigs[judges]) for _, judges in parts] == [{1}, {2}]
-    with pytest.raises(DatasetError, match="only one"):
-        leave_one_out(rigs.part(rigs.rigs == 1), "rigs")
 
 
 def test_other_classes_and_references_to_a_tree_are_refused(angle: Examples) -> None:
@@ -203,20 +193,9 @@ def test_each_class_needs_five_frames(rows: Any, angle: Examples) -> None:
 
 
 def test_copies_and_frames_without_contact_change_nothing(angle: Examples) -> None:
-    usual = familiarity.learn(np.nan_to_num(angle.frames), THRESHOLD)
+    usual = reliability.learn_familiar(np.nan_to_num(angle.frames), THRESHOLD)
     more = np.concatenate([angle.frames, angle.frames[:50], 0.0 * angle.frames[:50]])
-    assert familiarity.learn(np.nan_to_num(more), THRESHOLD).to_dict() == usual.to_dict()
-
-
-def test_probabilities_of_independent_dockings_multiply() -> None:
-    one = np.array([[0.6, 0.3, 0.1]])
-    np.testing.assert_allclose(together([one]), one)
-    np.testing.assert_allclose(together([one, one]), one**2 / np.sum(one**2))
-    even = np.full((1, 3), 1.0 / 3.0)
-    np.testing.assert_allclose(together([one, even]), one)
-    # An outlier rules out no class.
-    strange, usual = np.array([[0.0, 1.0]]), np.array([[0.999, 0.001]])
-    assert together([strange, usual, usual, usual]).argmax() == 0
+    assert reliability.learn_familiar(np.nan_to_num(more), THRESHOLD).to_dict() == usual.to_dict()
 
 
 @pytest.mark.rest
@@ -227,16 +206,15 @@ def test_three_dockings_are_more_accurate_than_one() -> None:
     model = TrainableClassifier("lda", "horizontal", THRESHOLD).fit(rows.frames[learns], rows.labels[learns])
     test = rows.part(judges)
     shares = model.predict_proba(test.frames)
-    three = groups(test, 3, seed=0)
-    assert len(np.unique(three)) == three.size
-    for column in (test.values, test.rigs, test.labels):
-        assert (column[three] == column[three[0]]).all()
+    random, three = np.random.default_rng(0), []
+    for value, rig in np.unique(np.column_stack([np.round(test.values, 6), test.rigs]), axis=0):
+        place = random.permutation(np.flatnonzero((np.round(test.values, 6) == value) & (test.rigs == rig)))
+        three += place[: len(place) // 3 * 3].reshape(-1, 3).tolist()
+    together = np.log(np.maximum(shares[np.array(three)], 1e-6)).sum(axis=1).argmax(axis=1)
     alone = np.mean(shares.argmax(axis=1) == test.labels)
-    joined = np.mean(together(shares[three]).argmax(axis=1) == test.labels[three[0]])
+    joined = np.mean(together == test.labels[np.array(three)[:, 0]])
     assert joined > alone
-    assert joined >= 0.99
-    with pytest.raises(DatasetError, match="1000 times"):
-        groups(test, 1000, seed=0)
+    assert joined >= 0.99  # the report's figure of three dockings, frozen in docs/reports/tactile.md
 
 
 @pytest.mark.rest
@@ -283,7 +261,7 @@ Known = tuple[Familiarity, Frames]
 def known(request: pytest.FixtureRequest) -> Known:
     """What was learnt from a rig, and frames of other dockings of the same rig."""
     learnt, other = (docked(request.param, seed) for seed in (1, 2))
-    return familiarity.learn(learnt, THRESHOLD), other
+    return reliability.learn_familiar(learnt, THRESHOLD), other
 
 
 def fired(known: Familiarity, frames: Frames, size: int = WINDOW) -> float:

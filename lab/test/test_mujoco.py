@@ -13,9 +13,16 @@ import pytest
 
 from deltacharger_core.parameters import ParameterError
 from deltacharger_kinematics.geometry import DeltaGeometry, LimbAdjustment
-from deltacharger_lab.mujoco import model as mujoco_model
-from deltacharger_lab.mujoco.springs import IMPEDANCE, share, share_impedance
-from deltacharger_lab.mujoco.world import MujocoMechanics, mujoco_world, pull, side_pull
+from deltacharger_lab.mujoco.world import (
+    IMPEDANCE,
+    MujocoMechanics,
+    mujoco_world,
+    pull,
+    refuse,
+    share,
+    share_impedance,
+    side_pull,
+)
 from deltacharger_sim.errors import TargetFixed
 from deltacharger_sim.parameters import (
     CableParameters,
@@ -138,7 +145,7 @@ def test_both_agree_in_fast_motion(pair: Any) -> None:
 )
 def test_parameters_that_the_reference_lacks_are_refused_by_key(parameters: Any, key: str) -> None:
     with pytest.raises(ParameterError) as caught:
-        mujoco_model.refuse(WorldParameters(**{"servo": plain_servo()} | parameters))
+        refuse(WorldParameters(**{"servo": plain_servo()} | parameters))
     assert caught.value.key == key
 
 

@@ -14,8 +14,7 @@ from unittest import mock
 import numpy as np
 import pytest
 
-from deltacharger_lab.mujoco.boxes import RendererError
-from deltacharger_lab.mujoco.camera import MujocoCamera
+from deltacharger_lab.mujoco.camera import MujocoCamera, RendererError
 from deltacharger_vision.errors import RenderingError
 from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera

@@ -12,8 +12,8 @@ import pytest
 
 from deltacharger_core.parameters import declared
 from deltacharger_lab.campaigns.keys import known_keys
-from deltacharger_lab.pages import model_parameters
-from deltacharger_lab.pages.interface_text import read
+from deltacharger_lab.pages import parameters
+from deltacharger_lab.pages.topics import read
 
 ROOT = Path(__file__).parents[2]
 FILES = sorted(path for folder in ("msg", "srv", "action") for path in (ROOT / folder).glob(f"*.{folder}"))
@@ -40,7 +40,7 @@ def test_the_table_of_nodes_lists_the_parameters_that_they_declare(context: Any,
 
 
 def test_every_key_of_a_campaign_has_a_row_with_a_meaning() -> None:
-    rows = [row.split(" | ") for row in model_parameters.sections().splitlines() if row.startswith("| ")]
+    rows = [row.split(" | ") for row in parameters.sections().splitlines() if row.startswith("| ")]
     names = {row[0].removeprefix("| ") for row in rows if row[-1].removesuffix(" |").strip()}
     parts = ("world.", "tactile.", "second.")
     keys = {name.partition(".")[2] if name.startswith(parts) else name for name in known_keys()}

@@ -12,8 +12,8 @@ from deltacharger_kinematics import WORKING_MODES, Delta, DeltaGeometry, Status
 from deltacharger_kinematics.exact.precise import exact_discriminant
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_lab.reports.kinematics import sets
-from deltacharger_lab.reports.kinematics.geometries import ADJUSTED
 from deltacharger_lab.reports.kinematics.reference import ExactDelta
+from deltacharger_lab.reports.kinematics.sets import ADJUSTED
 from test.marks import night
 
 NOMINAL, CALIBRATED = DeltaGeometry(), DeltaGeometry(limbs=ADJUSTED)

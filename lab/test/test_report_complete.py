@@ -51,7 +51,7 @@ def test_a_complete_report(tmp_path: Path, words: str, needs: str) -> None:
     subject = words.split()[0]
     figures = json.loads((tmp_path / f"{subject}.json").read_text("utf-8"))
     assert f"`{figures['command']}`" in " ".join(page.split())
-    assert figures["pictures"] == list(importlib.import_module(f"deltacharger_lab.reports.{subject}.pictures").PICTURES)
+    assert figures["pictures"] == list(importlib.import_module(f"deltacharger_lab.reports.{subject}.report").PICTURES)
     assert answer["targets"] == figures["targets"]
     published = (Path(__file__).parents[2] / f"docs/reports/{subject}.md").read_text("utf-8")
     known = set(re.findall(r"^\| ([^|]+) \|.*\*\*NOT MET\*\*", published, re.MULTILINE))
@@ -62,8 +62,8 @@ def test_a_complete_report(tmp_path: Path, words: str, needs: str) -> None:
 
 @pytest.mark.ros
 def test_footprint_measures_both_ways_of_a_scene_and_reports_one_that_does_not_run(tmp_path: Path) -> None:
+    from deltacharger_lab.reports.footprint.measure import ONE, SEPARATE, WAYS
     from deltacharger_lab.reports.footprint.report import NEVER
-    from deltacharger_lab.reports.footprint.start import ONE, SEPARATE, WAYS
 
     small, broken = tmp_path / "small.yaml", tmp_path / "broken.yaml"
     small.write_text("simulation: {servos: board}\nnodes: [tactile_node, servo_node]\n", "utf-8")

@@ -13,7 +13,8 @@ import pytest
 
 from deltacharger_bringup.cli.main import main
 from deltacharger_lab.campaigns.summary import upper_bound
-from deltacharger_lab.reports.docking import hostile, lean, lean_picture
+from deltacharger_lab.reports.docking import hostile, lean
+from deltacharger_lab.reports.docking import pictures as lean_picture
 from deltacharger_lab.reports.docking import report as docking_report
 from deltacharger_lab.reports.docking import summary as docking_summary
 from deltacharger_lab.reports.docking.pictures import PICTURES

@@ -14,16 +14,15 @@ import psutil
 import pytest
 
 from deltacharger_bringup.cli.main import main
-from deltacharger_lab.reports.footprint import plan as footprint_plan
-from deltacharger_lab.reports.footprint import process as footprint_process
+from deltacharger_lab.reports.footprint import measure as footprint
 from deltacharger_lab.reports.footprint import report as footprint_report
-from deltacharger_lab.reports.footprint.start import ONE, SEPARATE
+from deltacharger_lab.reports.footprint.measure import ONE, SEPARATE
 from deltacharger_scenes.scene import load_scene, packaged_scenes
 from test.chargers import wait_until
 
 pytestmark = [
     pytest.mark.ros,
-    pytest.mark.skipif(bool(footprint_process.unsupported()), reason="only Linux reports what a process uses"),
+    pytest.mark.skipif(bool(footprint.unsupported()), reason="only Linux reports what a process uses"),
 ]
 MEGA = 1_000_000
 PAUSE = "\nimport sys\nprint('ready', flush=True)\nsys.stdin.read()"
@@ -54,38 +53,38 @@ def test_memory_threads_and_children_of_a_process_are_counted(child: Child) -> N
     plain = child("")
     heavy = child("import threading\nheld = b'x' * 50_000_000\nthreading.Thread(target=input, daemon=True).start()")
     begun = child("import subprocess, sys\np = subprocess.Popen([sys.executable, '-c', 'input()'], stdin=-1)")
-    alone, more = (footprint_process.usage([each.pid]) for each in (plain, heavy))
+    alone, more = (footprint.usage([each.pid]) for each in (plain, heavy))
     for key in ("pss", "rss"):
         assert getattr(more, key) - getattr(alone, key) == pytest.approx(50 * MEGA, abs=3 * MEGA)
     assert (alone.processes, alone.threads, more.threads) == (1, 1, 2)
-    assert len(footprint_process.family([begun.pid])) == 2
-    wait_until(lambda: footprint_process.usage([plain.pid, begun.pid]).processes == 3, "all")
+    assert len(footprint.family([begun.pid])) == 2
+    wait_until(lambda: footprint.usage([plain.pid, begun.pid]).processes == 3, "all")
     plain.kill()
     wait_until(lambda: psutil.Process(plain.pid).status() == psutil.STATUS_ZOMBIE, "its end")
     with pytest.raises(psutil.NoSuchProcess, match=str(plain.pid)):
-        footprint_process.usage([plain.pid])
+        footprint.usage([plain.pid])
 
 
 @pytest.mark.rest
 def test_processor_time_with_ended_children_and_libraries_are_counted_and_waiting_is_not(child: Child) -> None:
-    assert footprint_process.mapped([child("import PIL._imaging").pid]) == {"PIL"}
+    assert footprint.mapped([child("import PIL._imaging").pid]) == {"PIL"}
     burn = "import time\nwhile time.process_time() < 0.5: pass\ntime.sleep(0.3)"
     begun = child(f"import subprocess, sys\nsubprocess.run([sys.executable, '-c', {burn!r}])")
     for process in (child(burn), begun):
-        assert 0.45 <= footprint_process.usage([process.pid]).cpu < 0.75
-        assert footprint_process.mapped([process.pid]) == set()
+        assert 0.45 <= footprint.usage([process.pid]).cpu < 0.75
+        assert footprint.mapped([process.pid]) == set()
 
 
 def test_a_scene_is_measured_or_left_out_with_a_reason(tmp_path: Path) -> None:
-    plan = footprint_plan.make_plan()
+    plan = footprint.make_plan()
     assert {"bench", "simulated"} <= set(plan.scenes)
     assert set(plan.scenes) | set(plan.left_out) == {load_scene(name).name for name in packaged_scenes()}
     assert not set(plan.scenes) & set(plan.left_out)
     file = tmp_path / "mine.yaml"
     file.write_text("nodes: [camera_node]\n", "utf-8")
-    assert "OAK-D" in footprint_plan.make_plan([str(file)]).left_out["mine"]
+    assert "OAK-D" in footprint.make_plan([str(file)]).left_out["mine"]
     file.write_text("nodes: [camera_node]\nparameters: {camera_node: {replay: shots.mcap}}\n", "utf-8")
-    assert list(footprint_plan.make_plan([str(file)]).scenes) == ["mine"]
+    assert list(footprint.make_plan([str(file)]).scenes) == ["mine"]
 
 
 def test_targets_are_judged_by_the_bench_scene_in_one_process_and_figures_are_medians_with_their_range() -> None:

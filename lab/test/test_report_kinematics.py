@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger report kinematics`: its reference, its sets of points, and the compared forms."""
+"""`deltacharger report kinematics`: its reference, and its headline on few points."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from deltacharger_kinematics import DeltaGeometry
-from deltacharger_lab.reports.kinematics import sets
-from deltacharger_lab.reports.kinematics.forms import INVERSE_FORMS, inverse_array, inverse_one
-from deltacharger_lab.reports.kinematics.geometries import ADJUSTED
+from deltacharger_lab.reports.kinematics import report, sets
 from deltacharger_lab.reports.kinematics.reference import ExactDelta
+from deltacharger_lab.reports.kinematics.sets import ADJUSTED
 
 
 @pytest.mark.parametrize("geometry", [DeltaGeometry(), DeltaGeometry(limbs=ADJUSTED)], ids=["plain", "adjusted"])
@@ -25,12 +24,16 @@ def test_the_reference_brings_points_back_to_30_digits(geometry: DeltaGeometry) 
     assert (solved.angle_error(solved.high) <= 3e-16).all()
 
 
-@pytest.mark.parametrize("name", INVERSE_FORMS)
-def test_every_closed_form_is_right_inside_the_workspace(name: str) -> None:
-    geometry = DeltaGeometry()
-    points = sets.interior(geometry, np.random.default_rng(5), 50).points
-    truth = ExactDelta(geometry).inverse(points).angles
-    form = INVERSE_FORMS[name]
-    assert truth.angle_error(inverse_array(form, geometry, points)).max() < 1e-10
-    one_by_one = np.array([inverse_one(form, geometry, *point) for point in points.tolist()])
-    assert truth.angle_error(one_by_one).max() < 1e-10
+def test_the_frozen_headline_holds_on_few_points() -> None:
+    """docs/reports/kinematics.md, version 1.0.0, seed 1: errors at rounding, no wrong decision on reach."""
+    plan = report.quick_plan(50, 1)
+    exact, solvers = ExactDelta(), report.inverse_solvers(DeltaGeometry())
+    samples = report.inverse_samples(exact, plan)
+    for solver in solvers:
+        for sample in samples:
+            error, missing, wrong = report.inverse_errors(sample, solver.solve(sample.points.points))
+            assert not missing.any()
+            assert not wrong.any()
+            assert error.max() <= (4e-16 if solver.name == report.PRECISE else 1e-15), (solver.name, sample.points.name)
+    _, decisions = report.reach_decisions(solvers, exact, samples[1].points, plan)
+    assert {count for row in decisions.values() for count in row.values()} == {0}

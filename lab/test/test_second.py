@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 
 from deltacharger_core.parameters import ParameterError, from_mapping
-from deltacharger_lab.second.bars import SpringBars
-from deltacharger_lab.second.equilibrium import Equilibrium
-from deltacharger_lab.second.foundation import PadFoundation, Ridges
-from deltacharger_lab.second.generator import dock_anew
+from deltacharger_lab.second.device import Sheets, SheetSensor
+from deltacharger_lab.second.equilibrium import Equilibrium, PadFoundation, Ridges, SpringBars
+from deltacharger_lab.second.generator import SecondSource, dock_anew
 from deltacharger_lab.second.parameters import (
     BarParameters,
     FoundationParameters,
@@ -23,8 +22,6 @@ from deltacharger_lab.second.parameters import (
     SecondParameters,
     SheetParameters,
 )
-from deltacharger_lab.second.sheet import Sheets, SheetSensor
-from deltacharger_lab.second.source import SecondSource
 from deltacharger_sim.pads.generator import generate_continuous
 from deltacharger_sim.pads.pad_source import Lean
 from deltacharger_sim.parameters import WorldParameters

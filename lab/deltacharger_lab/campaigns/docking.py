@@ -10,15 +10,13 @@ from typing import Any
 from deltacharger_docking.codes import Code, DockingError
 from deltacharger_docking.observation import DockGoal, DockingOutcome
 from deltacharger_lab.campaigns import estimates, judge
-from deltacharger_lab.campaigns.disturbances import Nudging, high_row, watched_after
+from deltacharger_lab.campaigns.disturbances import SECONDS, Nudging, Rest, high_row, watched_after
 from deltacharger_lab.campaigns.draw import Drawn, draw
 from deltacharger_lab.campaigns.estimates import EstimateLog
 from deltacharger_lab.campaigns.keys import known_keys
-from deltacharger_lab.campaigns.pads import FIRST, make_pads
-from deltacharger_lab.campaigns.parts import AXES
+from deltacharger_lab.campaigns.parts import AXES, FIRST, make_pads
 from deltacharger_lab.campaigns.published import published
 from deltacharger_lab.campaigns.scene import CampaignScene
-from deltacharger_lab.campaigns.servo_load import SECONDS, Rest
 from deltacharger_lab.campaigns.trial import ExactHostile, QuickHostile, Trial
 from deltacharger_sim.virtual import targets
 from deltacharger_sim.virtual.quick_charger import QuickCharger

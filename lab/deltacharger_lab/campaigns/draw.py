@@ -12,13 +12,19 @@ from deltacharger_core.parameters import ParameterError
 from deltacharger_docking.observation import ElectrodePose
 from deltacharger_docking.parameters import DockingParameters, TargetProfile
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
-from deltacharger_lab.campaigns.assumed import assumed_geometry
 from deltacharger_lab.campaigns.disturbances import Nudge
 from deltacharger_lab.campaigns.keys import EstimatorErrors
-from deltacharger_lab.campaigns.pads import FIRST
-from deltacharger_lab.campaigns.parts import NOMINAL, build_parts, nested, second_family, target_lean
+from deltacharger_lab.campaigns.parts import (
+    FIRST,
+    NOMINAL,
+    Value,
+    assumed_geometry,
+    build_parts,
+    nested,
+    second_family,
+    target_lean,
+)
 from deltacharger_lab.campaigns.scene import CampaignScene
-from deltacharger_lab.campaigns.spread import Value
 from deltacharger_lab.second.parameters import SecondParameters
 from deltacharger_sim.parameters import TerminalParameters, WorldParameters
 from deltacharger_sim.virtual.targets import CASES, TargetCase

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.observation import Reply, Service
 from deltacharger_lab.campaigns.keys import EstimatorErrors
-from deltacharger_lab.campaigns.pads import FROM_ONE_NEWTON, pose_model_from_one_newton
+from deltacharger_lab.campaigns.parts import FROM_ONE_NEWTON, pose_model_from_one_newton
 from deltacharger_sim.virtual.virtual_charger import VirtualCharger
 
 AXES = ("horizontal", "vertical", "angle")
@@ -41,7 +41,7 @@ class EstimateLog:
         self.last: Kept | None = None
         self.frozen = False
         if errors.paper:
-            from deltacharger_lab.campaigns.paper import PaperClasses
+            from deltacharger_lab.campaigns.published import PaperClasses
 
             charger.model = PaperClasses()
         elif errors.model == FROM_ONE_NEWTON:

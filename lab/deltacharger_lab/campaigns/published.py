@@ -17,9 +17,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
+import numpy as np
+
+from deltacharger_core.machine import CONTACT_FORCE
 from deltacharger_core.script import Script
 from deltacharger_docking.algorithm import prepare
+from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.codes import CriticalAngle, State
 from deltacharger_docking.context import Context
 from deltacharger_docking.energy import de_energise, energise
@@ -28,6 +33,30 @@ from deltacharger_docking.press import CONTACT_TIMEOUT, check_depth, check_pads,
 from deltacharger_docking.release import take_off
 from deltacharger_docking.standoff import approach
 from deltacharger_docking.touch import ALIGNMENTS_MAX, measure, rolled_too_far
+from deltacharger_tactile.classifiers import packaged
+from deltacharger_tactile.classifiers.labels import centres
+
+
+class PaperClasses:
+    """Estimates integer degrees 0–5 and steps of 5 mm, with no uncertainty."""
+
+    def __init__(self) -> None:
+        self._networks = packaged.load("cnn")
+
+    def predict(self, left: Any, right: Any) -> MisalignmentEstimate:
+        """Return the centres of the most probable classes; pads (10, 10) N below 1 N have no contact."""
+        frame = np.stack((left, right))
+        found = {target: float(centres(target)[net.predict(frame[None])[0]]) for target, net in self._networks.items()}
+        return MisalignmentEstimate(
+            angle=found["angle"],
+            angle_stddev=0.0,
+            vertical=found["vertical"],
+            vertical_stddev=0.0,
+            horizontal=found["horizontal"],
+            horizontal_stddev=0.0,
+            contact=bool(np.nanmax(frame) >= CONTACT_FORCE),
+        )
+
 
 _BACK, _STEP = 0.030, 0.005  # m: the paper's step back from too hard a push, and its step on
 

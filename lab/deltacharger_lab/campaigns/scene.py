@@ -11,11 +11,8 @@ from typing import Any
 from deltacharger_core.bounded_file import brief
 from deltacharger_core.parameters import Declaration, ParameterError, did_you_mean
 from deltacharger_core.yaml_file import read_yaml
-from deltacharger_lab.campaigns.assumed import assumed_geometry
-from deltacharger_lab.campaigns.contradictions import refuse_contradictions
-from deltacharger_lab.campaigns.keys import DERIVED, TAKEN, known_keys
-from deltacharger_lab.campaigns.parts import build_parts
-from deltacharger_lab.campaigns.spread import Spread, Value, read_spread
+from deltacharger_lab.campaigns.keys import DERIVED, TAKEN, known_keys, refuse_contradictions
+from deltacharger_lab.campaigns.parts import Spread, Value, assumed_geometry, build_parts, read_spread
 from deltacharger_scenes.scene import find_file, read_file
 
 DEFAULT = "default"

@@ -26,12 +26,18 @@ from deltacharger_bringup.cli.output import (
     log_line,
     wrong_input,
 )
-from deltacharger_lab.campaigns.compare import compare_campaigns, describe
-from deltacharger_lab.campaigns.compare_picture import draw
+from deltacharger_lab.campaigns.compare import compare_campaigns, describe, draw
 from deltacharger_lab.campaigns.runner import run_missing
 from deltacharger_lab.campaigns.scene import load_campaign_scene
-from deltacharger_lab.campaigns.settings import CampaignError, CampaignRefused, CampaignSettings, scene_of, versions
-from deltacharger_lab.campaigns.store import Store, read_results
+from deltacharger_lab.campaigns.store import (
+    CampaignError,
+    CampaignRefused,
+    CampaignSettings,
+    Store,
+    read_results,
+    scene_of,
+    versions,
+)
 from deltacharger_lab.campaigns.summary import COLUMNS, summarise
 from deltacharger_scenes.scene import SceneError
 

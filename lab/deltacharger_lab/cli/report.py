@@ -104,10 +104,9 @@ def _tactile(options: argparse.Namespace) -> Result:
 
 def _vision(options: argparse.Namespace) -> Result:
     """Write the report of the electrode detector on simulated images into a folder."""
-    from deltacharger_lab.reports.vision import plan as vision_plan
     from deltacharger_lab.reports.vision import report
 
-    plan = vision_plan.plan(options.images, options.seed, options.quick)
+    plan = report.plan(options.images, options.seed, options.quick)
     _print_absent(plan.absent)
     if "opencv" in plan.absent:
         raise CommandError(f"OpenCV is absent: {plan.absent['opencv']}")
@@ -119,14 +118,13 @@ def _vision(options: argparse.Namespace) -> Result:
 
 def _simulation(options: argparse.Namespace) -> Result:
     """Write the report of the simulated charger's mechanics into a folder."""
-    from deltacharger_lab.reports.simulation import plan as simulation_plan
-    from deltacharger_lab.reports.simulation import report, stability
+    from deltacharger_lab.reports.simulation import models, report, scenes
 
-    plan = simulation_plan.QUICK if options.quick else simulation_plan.SimulationPlan()
-    _print_absent(simulation_plan.absent())
+    plan = scenes.QUICK if options.quick else scenes.SimulationPlan()
+    _print_absent(scenes.absent())
     directory = folder_to_write("--out", options.out)
     results = report.build(plan, directory, _command(options), log_line)
-    return _end(options, results, directory, ("models", "quick"), also=(stability.MODULE,))
+    return _end(options, results, directory, ("models", "quick"), also=(models.MODULE,))
 
 
 def _docking(options: argparse.Namespace) -> Result:
@@ -160,16 +158,15 @@ def _footprint(options: argparse.Namespace) -> Result:
     """Write the report of the resources that each scene needs into a folder."""
     from deltacharger_bringup.cli.charger import require_domain, ros_context
     from deltacharger_core import environment
-    from deltacharger_lab.reports.footprint import plan as footprint_plan
-    from deltacharger_lab.reports.footprint import process as footprint_process
+    from deltacharger_lab.reports.footprint import measure as footprint
     from deltacharger_scenes.scene import SceneError
 
     scenes = options.scene or []
-    unsupported = footprint_process.unsupported()
+    unsupported = footprint.unsupported()
     if unsupported:
         raise CommandError(unsupported)
     with wrong_input(SceneError, before="--scene: "):
-        plan = footprint_plan.make_plan(scenes, options.quick, options.repeats)
+        plan = footprint.make_plan(scenes, options.quick, options.repeats)
     for name, reason in plan.left_out.items():
         log_line(f"{name} is left out: {reason}")
     if not plan.scenes:

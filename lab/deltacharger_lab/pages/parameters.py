@@ -16,8 +16,54 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from deltacharger_core import environment, streams
-from deltacharger_lab.pages import model_parameters
+from deltacharger_core.parameters import Declaration, declared
+from deltacharger_docking.parameters import TargetProfile
+from deltacharger_lab.campaigns.keys import FACTS, PARTS, known_keys
+from deltacharger_lab.second.parameters import SecondParameters
 from deltacharger_ros.node_support import ros_problem
+from deltacharger_sim.parameters import WorldParameters
+
+
+def sections() -> str:
+    """Return the tables of all models and of campaigns, as sections of Markdown."""
+    second = [key for key in declared(SecondParameters) if not f"second.{key.name}".startswith(FACTS)]
+    parts = tuple(f"{name}." for name in PARTS if name)
+    campaigns = [key for name, key in known_keys().items() if not name.startswith(parts)]
+    tables = {
+        "Target profiles": declared(TargetProfile),
+        "Simulated world": declared(WorldParameters),
+        "Second contact physics": second,
+        "Campaign scenes": campaigns,
+    }
+    return "\n".join(_table(title, keys) for title, keys in tables.items())
+
+
+def _table(title: str, keys: Iterable[Declaration]) -> str:
+    lines = [f"## {title}", "", "| key | default | allowed | unit | meaning |", "|---|---|---|---|---|"]
+    for key in keys:
+        default = "must be given" if key.problem(key.default) else text(key.default)
+        lines.append(f"| {key.name} | {default} | {_values(key)} | {key.unit} | {key.text} |")
+    return "\n".join([*lines, ""])
+
+
+def _values(key: Declaration) -> str:
+    if key.choices:
+        return f"one of: {', '.join(key.choices)}"
+    return "" if key.kind is bool else f"{key.low:.6g} … {key.high:.6g}"
+
+
+def text(value: Any) -> str:
+    """Return a default in the page's format."""
+    if value is None:
+        return "none"
+    if isinstance(value, str):
+        return value or "(empty)"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, bool | int):
+        return str(value).lower()
+    return ", ".join(text(item) for item in value)
+
 
 _OWN = ("use_sim_time", "start_type_description_service")  # every ROS node has them
 _PER_SCENE = ("port", "file")
@@ -47,7 +93,7 @@ def table(node: Node) -> str:
         if name in _OWN or name.startswith("qos_overrides."):
             continue
         descriptor = node.describe_parameter(name)
-        default = _PORT if name in _PER_SCENE else model_parameters.text(node.get_parameter(name).value)
+        default = _PORT if name in _PER_SCENE else text(node.get_parameter(name).value)
         live = "" if descriptor.read_only else " *"
         lines.append(f"| {name}{live} | {default} | {_allowed(descriptor)} | {descriptor.description} |")
     return "\n".join([*lines, ""])
@@ -56,7 +102,7 @@ def table(node: Node) -> str:
 def document(nodes: Iterable[Node]) -> str:
     """Return the page: running nodes in the order of their names, then models and campaigns."""
     tables = [table(node) for node in sorted(nodes, key=lambda node: node.get_name())]
-    return "\n".join([_HEAD, *tables, model_parameters.sections()])
+    return "\n".join([_HEAD, *tables, sections()])
 
 
 def _allowed(descriptor: Any) -> str:

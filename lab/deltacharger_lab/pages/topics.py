@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import time
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,83 @@ from rclpy.action.graph import get_action_client_names_and_types_by_node, get_ac
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-from deltacharger_lab.pages.interface_text import Interface, InterfacePart, read
 from deltacharger_lab.pages.parameters import write_page
 from deltacharger_ros.frames import TF, TF_STATIC
+
+PARTS = {".msg": ("",), ".srv": ("Request", "Response"), ".action": ("Goal", "Result", "Feedback")}
+_LICENCE = "SPDX-License-Identifier:"
+_DECLARATION = re.compile(
+    r"(?P<type>\S+)\s+(?P<name>\w+)\s*(?P<constant>=\s*\S+)?\s*(?P<default>[^#=]*)(#\s*(?P<text>.*))?"
+)
+
+
+@dataclass
+class Field:
+    """One field: its name, type as written, default ('' = the type's own) and comment."""
+
+    name: str
+    type: str
+    default: str
+    text: str
+
+
+@dataclass
+class InterfacePart:
+    """One part of an interface, such as an action's goal; a message has one without a name."""
+
+    name: str
+    fields: list[Field] = field(default_factory=list)
+    constants: list[str] = field(default_factory=list)
+
+
+@dataclass
+class Interface:
+    """One interface file: the comment at its head and its parts."""
+
+    name: str
+    text: str
+    parts: list[InterfacePart]
+
+
+def read(path: Path) -> Interface:
+    """Read an interface file.
+
+    Raises:
+        ValueError: a line is not a declaration, or the number of parts does not fit the kind of file.
+    """
+    names = PARTS[path.suffix]
+    pieces = re.split(r"^---$", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    if len(pieces) != len(names):
+        raise ValueError(f"{path}: {len(pieces)} parts; a {path.suffix} file has {len(names)}")
+    head: list[str] = []
+    parts = [_part(path, name, piece, head) for name, piece in zip(names, pieces, strict=True)]
+    return Interface(path.stem, " ".join(head), parts)
+
+
+def _part(path: Path, name: str, piece: str, head: list[str]) -> InterfacePart:
+    part = InterfacePart(name)
+    for line in filter(str.strip, piece.splitlines()):
+        comment = line.strip().removeprefix("#").strip()
+        if comment.startswith(_LICENCE):
+            continue
+        if line.startswith("#"):
+            head.append(comment)
+        elif line.lstrip().startswith("#"):  # continues the line above
+            part.fields[-1].text += f" {comment}"
+        else:
+            _declare(path, part, line)
+    return part
+
+
+def _declare(path: Path, part: InterfacePart, line: str) -> None:
+    found = _DECLARATION.fullmatch(line.strip())
+    if found is None:
+        raise ValueError(f"{path}: '{line}' declares nothing")
+    if found["constant"]:
+        part.constants.append(f"{found['name']} {found['constant'].removeprefix('=').strip()}")
+    else:
+        part.fields.append(Field(found["name"], found["type"], found["default"].strip(), found["text"] or ""))
+
 
 _EVERY_NODES = ("/parameter_events", "/rosout", "/clock")  # topics that every ROS node has
 _EVERY_NODES_TYPES = ("rcl_interfaces", "type_description_interfaces")  # of services that every ROS node has
@@ -155,11 +230,11 @@ def _section(name: str, found: set[Endpoint], at_rest: set[Endpoint]) -> str:
 
 
 def _interface(interface: Interface) -> str:
-    parts = [_part(part) for part in interface.parts]
+    parts = [_part_text(part) for part in interface.parts]
     return "\n".join([f"### {interface.name}", "", interface.text, "", *parts])
 
 
-def _part(part: InterfacePart) -> str:
+def _part_text(part: InterfacePart) -> str:
     lines = [f"{part.name}:", ""] if part.name else []
     if part.fields:
         lines += ["| field | type | meaning |", "|---|---|---|"]

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from deltacharger_core.arrays import Array
 from deltacharger_lab.training.classifier import TrainableClassifier
 from deltacharger_lab.training.estimator import TrainablePoseEstimator
-from deltacharger_lab.training.familiarity import WINDOW
-from deltacharger_lab.training.reliability import NOMINAL
+from deltacharger_lab.training.reliability import NOMINAL, WINDOW
 from deltacharger_tactile.classifiers import labels
 from deltacharger_tactile.classifiers.labels import Examples
 from deltacharger_tactile.dataset import Dataset

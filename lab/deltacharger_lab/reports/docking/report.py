@@ -13,9 +13,9 @@ from deltacharger_lab.campaigns.compare import compare_campaigns
 from deltacharger_lab.campaigns.docking import columns as docking_columns
 from deltacharger_lab.campaigns.runner import run_missing
 from deltacharger_lab.campaigns.scene import load_campaign_scene
-from deltacharger_lab.campaigns.settings import CampaignSettings, scene_of, versions
-from deltacharger_lab.campaigns.store import Store, read_results, read_settings
-from deltacharger_lab.reports.docking import arms, grounds, hostile, lean, summary, targets
+from deltacharger_lab.campaigns.store import CampaignSettings, Store, read_results, read_settings, scene_of, versions
+from deltacharger_lab.reports.docking import arms, hostile, lean, summary, targets
+from deltacharger_lab.reports.docking import plan as grounds
 from deltacharger_lab.reports.docking.pictures import FORMS, PICTURES, without
 from deltacharger_lab.reports.docking.plan import CampaignPart, DockingPlan
 from deltacharger_lab.reports.report import Progress, Report

@@ -13,10 +13,7 @@ from typing import Any
 
 from rclpy.context import Context
 
-from deltacharger_lab.reports.footprint.measure import measure
-from deltacharger_lab.reports.footprint.plan import FootprintPlan
-from deltacharger_lab.reports.footprint.process import LIBRARIES
-from deltacharger_lab.reports.footprint.start import ONE, CannotRun
+from deltacharger_lab.reports.footprint.measure import LIBRARIES, ONE, CannotRun, FootprintPlan, measure
 from deltacharger_lab.reports.report import Progress, Report, at_least, at_most, none
 
 BENCH = "bench"

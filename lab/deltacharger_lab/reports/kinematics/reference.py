@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kinematics of the delta in 60-digit arithmetic: the reference for every form of the report.
+"""Kinematics of the delta in 60-digit arithmetic: the reference of the report.
 
 The doubles of a position, of the angles and of the geometry count as exact, cos and sin of 120° as −1/2 and ±√3/2. Edge
 of reach: the elbow turns on a circle, and the limb reaches a platform joint whose distance to that circle's nearest
@@ -28,10 +28,6 @@ class Exact:
 
     high: Array
     low: Array
-
-    def first(self, count: int) -> Exact:
-        """Return the first `count` of them."""
-        return Exact(self.high[:count], self.low[:count])
 
     def angle_error(self, angles: Array) -> Array:
         """Return |angles − exact| (..., 3) rad in the shorter direction; NaN if either has no answer."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Seeded sets of points on which the forms of the report are measured.
+"""Seeded sets of points on which the report measures.
 
 Points near the edge of reach are placed by geometry and then moved by a few units in the last place until their exact
 distance to the edge, in 60 digits, is as wanted: 1e-17 m can only be met that way.
@@ -7,7 +7,6 @@ distance to the edge, in 60 digits, is as wanted: 1e-17 m can only be met that w
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import math
 from collections.abc import Callable
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array, Mask
 from deltacharger_kinematics import Delta, DeltaGeometry
+from deltacharger_kinematics.geometry import LimbAdjustment
 from deltacharger_kinematics.limb_arrays import LimbArrays
 from deltacharger_kinematics.modes import KNEE_OUT
 from deltacharger_lab.reports.kinematics.reference import ExactDelta
@@ -27,6 +27,12 @@ _CLEAR = 0.02  # of the shorter link; distance inside reach of the limbs that a 
 _DEFAULT_SPAN = 0.28  # m; arm + rod of the default robot, for which distances to the edge are stated
 _ROUND = 512  # points moved at a time, to bound memory
 _ATTEMPTS = 400
+ADJUSTED = (
+    LimbAdjustment(0.0010, 0.0020, 0.0030, 0.1010, 0.1810, 0.010),
+    LimbAdjustment(-0.0010, 0.0010, -0.0030, 0.0990, 0.1790, -0.020),
+    LimbAdjustment(0.0020, -0.0020, 0.0010, 0.1005, None, 0.005),
+)
+"""Limbs of a calibrated robot, all 18 parameters off."""
 
 
 @dataclass(frozen=True)
@@ -44,11 +50,6 @@ class PointSet:
     about: str
     points: Array
     edge: Array | None = None
-
-    def first(self, count: int) -> PointSet:
-        """Return the first `count` points."""
-        edge = None if self.edge is None else self.edge[:count]
-        return dataclasses.replace(self, points=self.points[:count], edge=edge)
 
 
 def plain_edge(geometry: DeltaGeometry, points: Array) -> Array:
@@ -78,19 +79,6 @@ def wide(geometry: DeltaGeometry, rng: np.random.Generator, count: int) -> Point
         return points[inside]
 
     return PointSet("wide", "evenly over all that the three limbs reach, in front and behind", _collect(draw, count))
-
-
-def assembled(geometry: DeltaGeometry, rng: np.random.Generator, count: int, delta: Delta | None = None) -> PointSet:
-    """Return points at random arm angles; works for geometries whose reach is a thin shell."""
-    solver = delta or Delta(geometry)
-
-    def draw(size: int) -> Array:
-        found = solver.forward(rng.uniform(-math.pi, math.pi, (size, 3))).position
-        found = found[np.isfinite(found).all(-1)]
-        inside: Mask = plain_edge(geometry, found).min(-1) > 0.0
-        return found[inside]
-
-    return PointSet("assembled", "where random arm angles lead", _collect(draw, count))
 
 
 def near_type_2(geometry: DeltaGeometry, rng: np.random.Generator, count: int) -> PointSet:

@@ -11,23 +11,20 @@ from typing import Any
 from deltacharger_core.machine import MAGNET_FORCE, SERVO_STIFFNESS, STALL_CURRENT
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_lab.reports.formats import is_known
-from deltacharger_lab.reports.simulation.plan import MUJOCO, MUJOCO_USUAL, SimulationPlan
-from deltacharger_lab.reports.simulation.reference import TOLERANCE, AxisCourse, Order, angle, on_axis
+from deltacharger_lab.reports.simulation.models import PEAK_LIMIT
+from deltacharger_lab.reports.simulation.reference import TOLERANCE, Order, angle, on_axis
 from deltacharger_lab.reports.simulation.scenes import (
-    DELTA,
-    EXTRAPOLATED,
-    LIGHT,
+    MUJOCO,
+    MUJOCO_USUAL,
     PATH_TICKS,
     SAMPLE,
     TICK,
     TRAVEL,
+    SimulationPlan,
     commanded,
-    docking,
     model_world,
-    rms,
     world,
 )
-from deltacharger_lab.reports.simulation.stability import PEAK_LIMIT
 from deltacharger_sim.parameters import MagnetParameters, WorldParameters
 from deltacharger_sim.world import World
 
@@ -70,7 +67,6 @@ STRIKES = (
 )
 PRESSING = STRIKES[1]
 """The strike at the speed of docking, for the comparison of tolerances and models."""
-ON_AXIS = "on the axis"
 
 
 def axis_world(contact: float, servo: float = SERVO_STIFFNESS, magnets: float = MAGNET_FORCE) -> WorldParameters:
@@ -148,25 +144,6 @@ def axis_docking(contact: float, servo: float) -> dict[str, Any]:
     return {"contact": contact, "servo": servo, "trace": trace, "peak": found.peak}
 
 
-def integrators(steps: tuple[float, ...]) -> list[dict[str, Any]]:
-    """Return path error (mm rms) and peak error (%) of the axis docking, on 1e5 and 1e6 N/m, and run time (µs per ms).
-
-    Models are the light one and its extrapolated competitor; times are the fastest of three runs in turn.
-    """
-    rows = []
-    for contact in (1e5, 1e6):
-        exact = axis_docking(contact, SERVO_STIFFNESS)
-        for step in steps:
-            runs = [(name, docking(name, axis_world(contact), step)) for name in (LIGHT, EXTRAPOLATED) * 3]
-            for name in (LIGHT, EXTRAPOLATED):
-                mine = [run for which, run in runs if which == name]
-                row = {"model": name, "contact": contact, "step": step}
-                row["us"] = 1000.0 / max(run["moving"] for run in mine)
-                row["path_mm"] = 1000.0 * rms(mine[0]["trace"], exact["trace"])
-                rows.append(row | {"percent": 100.0 * (mine[0]["peak"] / exact["peak"] - 1.0)})
-    return rows
-
-
 def others(name: str, contacts: tuple[float, ...], step: float) -> list[dict[str, Any]]:
     """Return MuJoCo's peak (N) of the strike at 25 mm/s in steps of `step` s, and the reference's."""
     rows = []
@@ -196,50 +173,6 @@ def tolerances(contacts: tuple[float, ...]) -> list[dict[str, Any]]:
     return rows
 
 
-def tiny_steps(contact: float, steps: tuple[float, ...]) -> list[dict[str, Any]]:
-    """Return the convergence of the light model's force at the ends of tiny steps: on the axis, and off it, sliding.
-
-    `steps` are halved from one to the next; the order is from the last three, the limit is Richardson's.
-    """
-    rows = []
-    for name in (ON_AXIS, "off the axis, sliding"):
-        ends = [_tiny(name, contact, step)[0] for step in steps]
-        first, second = ends[-2] - ends[-3], ends[-1] - ends[-2]
-        order = math.log2(first / second) if first / second > 0.0 else math.nan
-        limit = ends[-1] + second / (2.0**order - 1.0)
-        coarse = {f"{1000.0 * step:g}": 100.0 * (_tiny(name, contact, step)[1] / limit - 1.0) for step in DOCKING_STEPS}
-        exact = math.nan
-        if name == ON_AXIS:
-            parameters = axis_world(contact)
-            exact = on_axis(parameters, *strike_orders(parameters, PRESSING)).peak
-        row = {"name": name, "contact": contact, "ends": ends, "order": order, "limit": limit, "percent": coarse}
-        rows.append(row | {"exact": exact})
-    return rows
-
-
-def _tiny(name: str, contact: float, step: float) -> tuple[float, float]:
-    """Return the largest force at an end of a step and the reported peak (N) of a strike at 25 mm/s."""
-    if name == ON_AXIS:
-        parameters = axis_world(contact)
-        start, orders, duration = strike_orders(parameters, PRESSING)
-        moved = World(parameters, start=(0.0, 0.0, start))
-        return obey(moved, orders, duration, step), moved.record.peak_force
-    parameters = replace(axis_world(contact), target=replace(WorldParameters().target, x=0.03, y=0.02))
-    begin, servo = (0.02, 0.02, parameters.target.z - _BEFORE), parameters.servo
-    lag = (servo.damping + servo.viscosity) / servo.stiffness
-    moved, ends, count, every = World(parameters, start=begin), 0.0, 30, round(COMMANDS / step)
-    for index in range(count + 10):
-        share, ahead = (min(each / count, 1.0) for each in (index + 1, index + 1 + lag / COMMANDS))
-        # It slides along x by 10 mm while it approaches by 15 mm; the point ahead compensates the lag.
-        there, on = ((0.02 + 0.01 * part, 0.02, begin[2] + 0.015 * part) for part in (share, ahead))
-        for each, goal in enumerate(DELTA.inverse(*(on if index < count else there))):
-            moved.command(each, True, goal, STALL_CURRENT)
-        for _ in range(every):
-            moved.step(step)
-            ends = max(ends, moved.mechanics.contact_force)
-    return ends, moved.record.peak_force
-
-
 def worst(rows: Sequence[dict[str, Any]], key: str = "percent", **wanted: Any) -> float:
     """Return the error farthest from 0 of the rows with the given values; NaN for none, or if one is NaN."""
     found = [row[key] for row in rows if all(row[name] == value for name, value in wanted.items())]
@@ -252,13 +185,6 @@ def at_docking(rows: Sequence[dict[str, Any]], grazing: bool = True) -> float:
     return abs(worst([row for row in found if grazing or not row["grazes"]]))
 
 
-def axis_extreme(parameters: WorldParameters) -> AxisCourse:
-    """Return the extreme scene "20 mm beyond the target at full speed", weightless."""
-    free = replace(parameters, gravity_y=0.0)
-    orders = [(0.0, angle(0.07)[0], STALL_CURRENT), (1.0, angle(0.1)[0], STALL_CURRENT)]
-    return on_axis(free, 0.0, orders, 1.5)
-
-
 def tasks(plan: SimulationPlan, names: Sequence[str]) -> list[tuple[str, Any, tuple[Any, ...], float]]:
     """Return name, function, arguments and weight of the section's work."""
     found: list[tuple[str, Any, tuple[Any, ...], float]] = [
@@ -266,9 +192,7 @@ def tasks(plan: SimulationPlan, names: Sequence[str]) -> list[tuple[str, Any, tu
         for contact in plan.strike_contacts
         for servo in plan.strike_servos
     ]
-    found.append(("integrators", integrators, (plan.strike_steps,), 2.0))
     found.append(("tolerances", tolerances, ((min(plan.strike_contacts), 1e5, max(plan.strike_contacts)),), 5.0))
-    found += [("tiny_steps", tiny_steps, (contact, plan.tiny_steps), 5.0) for contact in (1e5, 1e6)]
     for name, step in ((MUJOCO, 1e-3), (MUJOCO, 1e-4), (MUJOCO_USUAL, 1e-3), (MUJOCO_USUAL, 1e-4)):
         if name in names:
             found.append(("others", others, (name, plan.strike_contacts, step), 0.005 / step))

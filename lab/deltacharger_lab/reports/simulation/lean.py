@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Leaning contacts: error against run time compared with MuJoCo, remaining lean at rest, and rough treatment."""
+"""Leaning contacts: error against run time compared with MuJoCo, and rough treatment."""
 
 from __future__ import annotations
 
@@ -13,16 +13,12 @@ from typing import Any
 from deltacharger_core.machine import SERVO_STIFFNESS
 from deltacharger_lab.reports.pool import ReportTask
 from deltacharger_lab.reports.report import at_least, at_most, none
-from deltacharger_lab.reports.simulation import impact, stability
-from deltacharger_lab.reports.simulation.plan import MUJOCO, SimulationPlan
-from deltacharger_lab.reports.simulation.scenes import LIGHT, docking, rms, world
+from deltacharger_lab.reports.simulation import impact, models
+from deltacharger_lab.reports.simulation.scenes import LIGHT, MUJOCO, SimulationPlan, docking, rms, world
 from deltacharger_sim.parameters import PlatformParameters, TargetParameters, WorldParameters
 
 STEPS = (1e-3, 5e-3, 1e-2, 2e-2)  # s, of the light model
 TARGET_STEP = 1e-2  # s
-COMPLIANCES = (0.0, 0.01, 0.02, 0.03)  # rad/(N·m)
-CONTACTS = (1e5, 1e6)  # N/m
-REPORTED_YAWS = (1.0, 2.0, 5.0)  # °
 MODEST = 3.5  # ° of lean, up to which the position is judged
 _REFERENCE_STEP = {False: 2e-4, True: 5e-4}  # s; by whether the plan is quick
 _FINEST = 1e-3  # s, smallest step of every point of the rough treatment; only some take the shorter one
@@ -116,38 +112,6 @@ def errors(case: LeanCase, name: str, finest: float) -> list[dict[str, Any]]:
     return rows
 
 
-def remains(contact: float, compliance: float, quick: bool) -> dict[str, Any]:
-    """Return the remaining yaw at rest for each yaw of the target (°), and the pitch that lifts a complete bar (°)."""
-    angles = REPORTED_YAWS if quick else (*tuple(0.25 * index for index in range(23)), 5.7)
-    yaws = []
-    for yaw in dict.fromkeys((*angles, *REPORTED_YAWS)):
-        found = _at_rest(LeanCase(yaw, 0.0, compliance, contact))
-        yaws.append({"yaw": yaw, "rest": yaw - math.degrees(found["tilt"][1]), "share": found["share"]})
-    low, high = 0.0, math.degrees(0.1)
-    for _ in range(12):
-        pitch = 0.5 * (low + high)
-        found = _at_rest(LeanCase(0.0, pitch, compliance, contact))
-        terminal = WorldParameters().terminal
-        drop = 0.5 * (terminal.gap + terminal.height) * (math.radians(pitch) - found["tilt"][0])
-        # While both bars press, the compression on the axis is the force over both stiffnesses.
-        low, high = (low, pitch) if drop > 0.5 * found["force"] / contact else (pitch, high)
-    return {
-        "contact": contact,
-        "compliance": compliance,
-        "yaws": sorted(yaws, key=lambda row: row["yaw"]),
-        "bar_lifts": high,
-    }
-
-
-def order(plan: SimulationPlan) -> dict[str, Any]:
-    """Return the path's error against a tenth of the first step for each step, without friction."""
-    parameters = LeanCase(3.0, 0.0, 0.02, 1e5).parameters(friction=0.0, gravity_y=0.0)
-    exact = docking(LIGHT, parameters, plan.order_steps[0] / 10.0)["trace"]
-    sizes = [1000.0 * rms(docking(LIGHT, parameters, step)["trace"], exact) for step in plan.order_steps]
-    ends = [math.log(values[-1] / values[0]) for values in (sizes, plan.order_steps)]
-    return {"steps": list(plan.order_steps), "rms_mm": sizes, "order": ends[0] / ends[1]}
-
-
 def rough(contact: float, compliance: float, steps: tuple[float, ...]) -> list[dict[str, Any]]:
     """Dock against strong leans and treat the arm roughly; return whether all stayed finite and came to rest."""
     rows = []
@@ -156,10 +120,10 @@ def rough(contact: float, compliance: float, steps: tuple[float, ...]) -> list[d
             "platform": PlatformParameters(compliance=compliance),
             "target": TargetParameters(tilt_x=tilt_x, tilt_y=tilt_y),
         }
-        found = stability.roughly(LIGHT, SERVO_STIFFNESS, contact, step, **lean)
+        found = models.roughly(LIGHT, SERVO_STIFFNESS, contact, step, **lean)
         speed = docking(LIGHT, world(contact, friction=0.0, gravity_y=0.0, **lean), step)["speed"]
         row = {"contact": contact, "compliance": compliance, "step": step, "tilt": [tilt_x, tilt_y]}
-        rows.append(row | {"imbalance": found["imbalance"], "ok": bool(found["bounded"] and speed < stability.REST)})
+        rows.append(row | {"imbalance": found["imbalance"], "ok": bool(found["bounded"] and speed < models.REST)})
     return rows
 
 
@@ -168,9 +132,6 @@ def tasks(plan: SimulationPlan, names: tuple[str, ...]) -> Iterator[ReportTask]:
     finest = _REFERENCE_STEP[plan.quick]
     for case in cases(plan):
         yield ReportTask("lean", errors, (case, MUJOCO if MUJOCO in names else LIGHT, finest), 0.0004 / finest)
-    for contact, compliance in itertools.product(CONTACTS, COMPLIANCES):
-        yield ReportTask("lean_remains", remains, (contact, compliance, plan.quick), 0.3)
-    yield ReportTask("lean_order", order, (plan,), 2.0)
     for contact, compliance in itertools.product(plan.map_contacts, (0.0, 0.001, 0.1)):
         long = tuple(step for step in plan.map_steps if step >= _FINEST)
         steps = plan.map_steps[:1] + long if contact in (1e3, 1e6, 1e9) and not plan.quick else long
@@ -190,10 +151,6 @@ def targets(results: dict[str, Any]) -> list[dict[str, Any]]:
         at_most("the same, position, leans to 3°, worst", worst, 0.15, "mm rms"),
         none("leaning contacts that diverge or do not rest", lost, f"of {len(results['lean_rough'])}"),
     ]
-
-
-def _at_rest(case: LeanCase) -> dict[str, Any]:
-    return docking(LIGHT, case.parameters(friction=0.0, gravity_y=0.0), TARGET_STEP)
 
 
 def _key(case: LeanCase) -> str:

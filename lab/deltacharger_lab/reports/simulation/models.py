@@ -1,26 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Error against run time of every model, integrator and step, order of convergence, and complete dockings."""
+"""Error against run time of every model, integrator and step, and complete dockings."""
 
 from __future__ import annotations
 
 import itertools
 import math
-import statistics
 import time
 import warnings
 from typing import Any
 
-from deltacharger_kinematics.geometry import Vector
-from deltacharger_lab.reports.simulation.plan import MUJOCO, SimulationPlan
 from deltacharger_lab.reports.simulation.scenes import (
     COMPARED,
     LIGHT,
+    MUJOCO,
     PUSH,
     Arm,
+    SimulationPlan,
     docking,
     model_world,
     rms,
     settled_exactly,
+    was_reset,
     world,
 )
 from deltacharger_sim.parameters import TargetParameters, WorldParameters
@@ -78,34 +78,6 @@ def times(plan: SimulationPlan, names: tuple[str, ...]) -> list[dict[str, Any]]:
     return rows
 
 
-def convergence(plan: SimulationPlan) -> dict[str, Any]:
-    """Return the light model's error for each step: a swing in free air, and the docking without friction.
-
-    The slope of log(error) over log(step) by least squares is the order; kinematics that are linear in a step have 1.
-    """
-    found = {}
-    for name, run in (("swing in free air", _swing), ("docking, no friction", _docking)):
-        exact = run(plan.order_steps[0] / 10.0)
-        sizes = [rms(run(step), exact) for step in plan.order_steps]
-        pairs = [(math.log(step), math.log(size)) for step, size in zip(plan.order_steps, sizes, strict=True)]
-        slope = statistics.linear_regression(*zip(*pairs, strict=True)).slope
-        found[name] = {"steps": list(plan.order_steps), "rms_mm": [1000.0 * size for size in sizes], "order": slope}
-    return found
-
-
-def _swing(step: float) -> list[Vector]:
-    """Move by a distance that no step takes in halves."""
-    arm = Arm(model_world(LIGHT, world(friction=0.0, target=TargetParameters(present=False)), step), step)
-    arm.aim((0.004, -0.006, 0.012))
-    arm.run(0.5, 0.01)
-    return arm.trace
-
-
-def _docking(step: float) -> list[Vector]:
-    found: list[Vector] = docking(LIGHT, WITHOUT, step)["trace"]
-    return found
-
-
 def trace(name: str, step: float) -> dict[str, Any]:
     """Return time (s), z (m) and contact force (N) through the docking and a pull-off, for a picture."""
     arm = Arm(model_world(name, WITH_FRICTION, step), step)
@@ -123,22 +95,19 @@ def trace(name: str, step: float) -> dict[str, Any]:
     return {"model": name, "step": step, "course": course}
 
 
-def complete_docking(name: str, step: float, number: int, parameters: WorldParameters | None = None) -> dict[str, Any]:
+def complete_docking(name: str, step: float, number: int) -> dict[str, Any]:
     """Dock once with the real state machine; return code, duration, current and misalignment.
 
     Args:
         name: of the model.
         step: of the world, s; MuJoCo takes steps of 1 ms in it.
         number: of the docking: target and seed.
-        parameters: of the world; None = default, without friction by load. Its target and step are replaced.
     """
-    import dataclasses
-
     from deltacharger_sim.pads.source import ContactSource
     from deltacharger_sim.shared_world import SharedWorld
     from deltacharger_sim.virtual.virtual_charger import VirtualCharger
 
-    parameters = dataclasses.replace(parameters or WorldParameters(servo=COMPARED), target=TARGETS[number], step=step)
+    parameters = WorldParameters(servo=COMPARED, target=TARGETS[number], step=step)
     tactile = ContactSource(None, 900, number)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UnprovenWarning)  # the effect of long steps is measured here
@@ -173,3 +142,76 @@ def docking_cases(plan: SimulationPlan, names: tuple[str, ...]) -> list[tuple[st
     if MUJOCO in names:
         cases += [(MUJOCO, 5e-3, number) for number in plan.dockings]
     return cases
+
+
+DIVERGED, FORCE_OFF, PATH_OFF, PEAK_OFF, PROVEN = "d", "f", "p", "s", "+"
+FORCE_LIMIT, PATH_LIMIT, PEAK_LIMIT = 0.5, 0.3, 15.0  # %, mm rms and %: largest errors of a proven point
+REST = 1e-4  # m/s, largest speed of a world at rest
+MODULE = "stability_map.py"
+
+
+def column(
+    name: str, servo: float, contact: float, steps: tuple[float, ...], exact: dict[str, Any]
+) -> list[dict[str, Any]]:
+    """Return the points of a servo and contact stiffness, judged against the converged reference's path and peak."""
+    parameters = world(contact, servo, friction=0.0, gravity_y=0.0)
+    force = settled_exactly(parameters, PUSH)
+    points = []
+    for step in steps:
+        found = docking(name, parameters, step)
+        rough = roughly(name, servo, contact, step)
+        off = 100.0 * abs(found["force"] / force - 1.0)
+        path = 1000.0 * rms(found["trace"], exact["trace"])
+        point = {"model": name, "servo": servo, "contact": contact, "step": step, "force_percent": off}
+        peak = 100.0 * (found["peak"] / exact["peak"] - 1.0)
+        point |= {"path_mm": path, "peak_percent": peak, "speed": found["speed"], **rough}
+        points.append({**point, "cell": _cell(point)})
+    return points
+
+
+def _cell(point: dict[str, Any]) -> str:
+    if not point["bounded"] or not math.isfinite(point["force_percent"]) or not point["speed"] < REST:
+        return DIVERGED
+    if not point["force_percent"] <= FORCE_LIMIT:
+        return FORCE_OFF
+    if not point["path_mm"] <= PATH_LIMIT:
+        return PATH_OFF
+    return PROVEN if abs(point["peak_percent"]) <= PEAK_LIMIT else PEAK_OFF
+
+
+def roughly(name: str, servo: float, contact: float, step: float, **changes: Any) -> dict[str, Any]:
+    """Treat the arm roughly: full speed against the target, sideways, limp, torn off; `changes` as in `world`.
+
+    Returns:
+        bounded (whether every number stayed finite and bounded), imbalance (worst, N).
+    """
+    arm = Arm(model_world(name, world(contact, servo, **changes), step), step)
+    bounded, imbalance = True, 0.0
+    stages: tuple[tuple[tuple[float, float, float] | None, float], ...] = (
+        ((0.0, 0.0, 0.05), 0.5),
+        ((0.0, 0.0, 0.11), 0.4),
+        ((0.03, 0.02, 0.09), 0.3),
+        (None, 0.2),
+        ((0.03, 0.02, 0.03), 0.6),
+    )
+    for point, seconds in stages:
+        if point is None:
+            arm.release()
+        else:
+            arm.aim(point)
+        for _ in range(max(1, round(seconds / max(step, 0.005)))):
+            arm.run(max(step, 0.005))
+            bounded = bounded and arm.is_bounded() and not was_reset(arm.world)
+            imbalance = max(imbalance, arm.world.mechanics.imbalance)
+        if not bounded:
+            break
+    return {"bounded": bounded, "imbalance": imbalance}
+
+
+def cells(points: list[dict[str, Any]], plan: SimulationPlan) -> list[list[str]]:
+    """Return for each servo stiffness, for each contact stiffness, a character for each step."""
+    found = {(point["servo"], point["contact"], point["step"]): point["cell"] for point in points}
+    return [
+        ["".join(found[servo, contact, step] for step in plan.map_steps) for contact in plan.map_contacts]
+        for servo in plan.map_servos
+    ]

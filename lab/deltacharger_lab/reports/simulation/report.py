@@ -9,18 +9,144 @@ from pathlib import Path
 from typing import Any
 
 from deltacharger_core.machine import SERVO_STIFFNESS
-from deltacharger_lab.reports.formats import fixed
-from deltacharger_lab.reports.page import rendered
+from deltacharger_lab.plotting import Axes, note, picture
+from deltacharger_lab.reports.formats import fixed, tens
 from deltacharger_lab.reports.pool import ReportTask, joined, work
-from deltacharger_lab.reports.report import Progress, Report, at_least, at_most, none
-from deltacharger_lab.reports.simulation import energy, extremes, impact, lean, models, parts, stability
-from deltacharger_lab.reports.simulation.pictures import PICTURES
-from deltacharger_lab.reports.simulation.plan import MUJOCO, SimulationPlan, absent, models_here
-from deltacharger_lab.reports.simulation.scenes import LIGHT, rms
+from deltacharger_lab.reports.report import Progress, Report, at_least, at_most, none, rendered
+from deltacharger_lab.reports.simulation import impact, lean, models
+from deltacharger_lab.reports.simulation.impact import worst
+from deltacharger_lab.reports.simulation.models import DIVERGED, FORCE_LIMIT, PEAK_LIMIT
+from deltacharger_lab.reports.simulation.scenes import (
+    LIGHT,
+    MUJOCO,
+    MUJOCO_FAST,
+    MUJOCO_USUAL,
+    SimulationPlan,
+    absent,
+    models_here,
+    rms,
+)
+from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, RED
+
+_COLOURS = {LIGHT: BLUE, MUJOCO: ORANGE, MUJOCO_FAST: GREEN, MUJOCO_USUAL: PURPLE}
+_FLOOR = 1e-7  # % of force error, drawn for smaller ones
+_DIVERGED_AT = 30.0  # mm, where a diverged run is drawn
+
+
+def _error_time(results: dict[str, Any], path: Path) -> None:
+    known = "MuJoCo" if MUJOCO in results["models"] else "the light model"
+    finest = f"{1000.0 * results['reference_step']:g} ms"
+    about = f"1.2 s of docking with friction against {known} in steps of {finest}; each point is a step, in ms"
+    with picture(path, 13.5, 5.0, "Error against run time", about) as figure:
+        left, middle, right = figure.subplots(1, 3)
+        columns = ((left, "rms_mm", "path, mm rms"), (middle, "peak_percent", "peak force, %"))
+        for axes, key, text in (*columns, (right, "force_percent", "solver tolerance: settled force, %")):
+            for name in results["models"]:
+                _curve(axes, results, name, key)
+            axes.set(title=text, xscale="log", yscale="log", xlabel="processor time per simulated second, ms")
+        left.set_ylim(5e-4, 60.0)
+        left.axhline(0.15, color=RED, linewidth=1.0, linestyle="--")
+        left.axvline(2.0, color=RED, linewidth=1.0, linestyle="--")
+        left.text(2.2, 5e-3, "targets: 0.15 mm,\n500 × real time", color=RED, fontsize=8, va="top", ha="left")
+        middle.set_ylim(1e-2, 200.0)
+        middle.axhline(PEAK_LIMIT, color=RED, linewidth=1.0, linestyle="--")
+        right.axhline(FORCE_LIMIT, color=RED, linewidth=1.0, linestyle="--")
+        right.text(0.98, 0.7, "target: 0.5 %", color=RED, fontsize=8, ha="right", transform=right.get_yaxis_transform())
+        right.plot([], [], "x", color=FAINT, label="diverged or restless")
+        right.legend(loc=(0.02, 0.26), fontsize=8)
+
+
+def _curve(axes: Axes, results: dict[str, Any], name: str, key: str) -> None:
+    times = {row["step"]: 1000.0 / row["moving"] for row in results["times"] if row["model"] == name}
+    rows = [row for row in results["errors"] if row["model"] == name]
+    calm = [row for row in rows if row[key] == row[key] and row["speed"] < 1e-3]
+    x, y = [times[row["step"]] for row in calm], [max(abs(row[key]), _FLOOR) for row in calm]
+    axes.plot(x, y, "o-", color=_COLOURS[name], markersize=4, linewidth=1.4, label=name)
+    for time, row, value in zip(x, calm, y, strict=True):
+        note(axes, f"{1000.0 * row['step']:g}", (time, value), (3, 4), fontsize=7, ha="left")
+    lost = [times[row["step"]] for row in rows if row not in calm]
+    top = _DIVERGED_AT if key == "rms_mm" else 100.0
+    axes.plot(lost, [top] * len(lost), "x", color=_COLOURS[name], markersize=6)
+
+
+def _map(results: dict[str, Any], path: Path) -> None:
+    names = [name for name in results["models"] if any(point["model"] == name for point in results["map"])]
+    about = f"path error in mm rms at {SERVO_STIFFNESS:g} N·m/rad; crosses: diverged or does not come to rest"
+    with picture(path, 3.6 * len(names) + 0.8, 4.6, "Stability map", about) as figure:
+        from matplotlib.colors import LogNorm
+
+        rows = figure.subplots(1, len(names), squeeze=False)[0]
+        for index, (axes, name) in enumerate(zip(rows, names, strict=True)):
+            points = [point for point in results["map"] if point["model"] == name and point["servo"] == SERVO_STIFFNESS]
+            steps = sorted({point["step"] for point in points})
+            contacts = sorted({point["contact"] for point in points})
+            values = [[float("nan")] * len(steps) for _ in contacts]
+            for point in points:
+                column, row = steps.index(point["step"]), contacts.index(point["contact"])
+                if point["cell"] == DIVERGED:
+                    axes.plot(column, row, "x", color=RED, markersize=7)
+                    continue
+                values[row][column] = max(point["path_mm"], 1e-3)
+                colour = "white" if point["path_mm"] < 0.03 else INK
+                axes.text(column, row, f"{point['path_mm']:.2g}", ha="center", va="center", fontsize=6, color=colour)
+            axes.imshow(values, origin="lower", aspect="auto", cmap="viridis", norm=LogNorm(1e-3, 1.0))
+            axes.set_xticks(range(len(steps)), [f"{1000.0 * step:g}" for step in steps], fontsize=7)
+            axes.set_yticks(range(len(contacts)), [tens(each) for each in contacts] if not index else [])
+            axes.set(title=name, xlabel="step, ms")
+            axes.grid(visible=False)
+        rows[0].set_ylabel("contact stiffness, N/m per electrode")
+
+
+def _impact(results: dict[str, Any], path: Path) -> None:
+    about = "worst error in % of all servos and strikes, without those that graze the stop, against the reference"
+    with picture(path, 10.0, 4.4, "Peak force of an impact", about) as figure:
+        from matplotlib.colors import LogNorm
+
+        rows = [row for row in results["strikes"] if not row["grazes"]]
+        steps, contacts = (sorted({row[key] for row in rows}) for key in ("step", "contact"))
+        panels = figure.subplots(1, 2)
+        titles = {"percent": "resolved within the step", "ends_percent": "forces at steps' ends"}
+        for axes, (key, title) in zip(panels, titles.items(), strict=True):
+            values = [[worst(rows, key, step=step, contact=contact) for step in steps] for contact in contacts]
+            shown = [[max(abs(value), 0.1) for value in row] for row in values]
+            axes.imshow(shown, origin="lower", aspect="auto", cmap="viridis", norm=LogNorm(0.5, 100.0))
+            for index, row in enumerate(values):
+                for column, value in enumerate(row):
+                    colour = "white" if abs(value) < PEAK_LIMIT else INK
+                    axes.text(column, index, f"{value:+.1f}", ha="center", va="center", fontsize=8, color=colour)
+            axes.set_xticks(range(len(steps)), [f"{1000.0 * step:g}" for step in steps])
+            axes.set_yticks(range(len(contacts)), [tens(each) for each in contacts])
+            axes.set(title=title, xlabel="step, ms", ylabel="contact stiffness, N/m per electrode")
+            axes.grid(visible=False)
+
+
+def _docking(results: dict[str, Any], path: Path) -> None:
+    about = "approach, snap, push, pull off; commands every 0.1 s"
+    with picture(path, 10.0, 5.2, "One docking by every model", about) as figure:
+        top, bottom = figure.subplots(2, 1, sharex=True)
+        styles = {(LIGHT, 0.001): (BLUE, "-", 1.8), (LIGHT, 0.01): (GREEN, "--", 1.4), (LIGHT, 0.1): (PURPLE, ":", 1.4)}
+        for each in results["traces"]:
+            colour, line, width = styles.get((each["model"], each["step"]), (ORANGE, "-", 1.0))
+            time, z, force = zip(*each["course"], strict=True)
+            label = f"{each['model']}, {1000.0 * each['step']:g} ms"
+            top.plot(time, [1000.0 * value for value in z], line, color=colour, linewidth=width, label=label)
+            bottom.plot(time, force, line, color=colour, linewidth=width)
+        top.axhline(80.0, color=FAINT, linewidth=0.8)
+        top.set_ylabel("z, mm")
+        bottom.set(ylabel="contact force, N", xlabel="time, s")
+        top.legend(fontsize=8, loc="lower right")
+
+
+PICTURES = {
+    "simulation-error-time.png": _error_time,
+    "simulation-map.png": _map,
+    "simulation-impact.png": _impact,
+    "simulation-docking.png": _docking,
+}
+
 
 TARGET_STEP = 0.01  # s
 PEAKS = "peak force at the steps docking uses (5 to 20 ms), contact ≤ 1e6 N/m, worst"
-ENERGY_STEPS = (0.0001, 0.001, 0.005, 0.01, 0.05)
 
 
 def build(plan: SimulationPlan, directory: Path, command: str, progress: Progress) -> dict[str, Any]:
@@ -43,16 +169,14 @@ def build(plan: SimulationPlan, directory: Path, command: str, progress: Progres
     progress("run times, alone")
     results["times"] = models.times(plan, names)
     results["lean_times"] = lean.times(plan)
-    results["costs"] = parts.costs(plan)
-    results["imports"] = parts.imports()
     traces = _measure(results, plan, names, progress)
     progress("pictures")
     report.draw(PICTURES, directory, traces=traces)
     results["targets"] = targets(results)
     light = [point for point in results["map"] if point["model"] == LIGHT]
-    shown = {"command": command, "plan": plan, "stability": stability, "rows": stability.cells(light, plan)}
-    (directory / stability.MODULE).write_text(rendered(f"{stability.MODULE}.j2", shown), "utf-8")
-    return report.write(directory, is_calm=is_calm, settled=settled, ends=ends, stability=stability, impact=impact)
+    shown = {"command": command, "plan": plan, "stability": models, "rows": models.cells(light, plan)}
+    (directory / models.MODULE).write_text(rendered(f"{models.MODULE}.j2", shown), "utf-8")
+    return report.write(directory, is_calm=is_calm, settled=settled, ends=ends, stability=models, impact=impact)
 
 
 def _measure(
@@ -75,12 +199,11 @@ def _measure(
     found = work(tasks(plan, names, exact, axis), progress)
     paths = [each["rubbing"]["trace"] for each in references]
     results["references_apart_mm"] = 1000.0 * rms(*paths) if len(paths) == 2 else None
-    for name in ("errors", "extremes", "energy", "dockings", "lean_remains"):
+    for name in ("errors", "dockings"):
         results[name] = found[name]
-    for name in ("map", "parts", "strikes", "tiny_steps", "others", "lean", "lean_rough"):
+    for name in ("map", "strikes", "others", "lean", "lean_rough"):
         results[name] = joined(found.get(name, []))
-    for name in ("convergence", "integrators", "tolerances", "lean_order"):
-        results[name] = found[name][0]
+    results["tolerances"] = found["tolerances"][0]
     return found["traces"]
 
 
@@ -91,8 +214,7 @@ def tasks(
     axis: dict[tuple[float, float], dict[str, Any]],
 ) -> list[ReportTask]:
     """Return all work that needs no idle computer; `axis` has the converged dockings by contact and servo stiffness."""
-    found = [ReportTask("convergence", models.convergence, (plan,), 4.0)]
-    found += [ReportTask(*each) for each in impact.tasks(plan, names)]
+    found = [ReportTask(*each) for each in impact.tasks(plan, names)]
     for name in names:
         for step in plan.steps:
             found.append(ReportTask("errors", models.errors, (name, step, exact), 0.0005 / step))
@@ -100,18 +222,9 @@ def tasks(
         for servo in servos:
             for contact in plan.map_contacts:
                 arguments = (name, servo, contact, plan.map_steps, axis[contact, servo])
-                found.append(ReportTask("map", stability.column, arguments, 0.0002 / plan.map_steps[0]))
-    for index in range(len(extremes.SCENES)):
-        steps = (0.01,) if plan.quick else extremes.STEPS
-        runs = [(LIGHT, step) for step in steps] + [(MUJOCO, 0.001)] * (MUJOCO in names)
-        found += [ReportTask("extremes", extremes.judge, (index, *run), 0.3) for run in runs]
-    finer = ENERGY_STEPS[1:4] if plan.quick else ENERGY_STEPS
-    for scene_name in energy.scenes():
-        found += [ReportTask("energy", energy.scene, (scene_name, step), 0.0001 / step) for step in finer]
+                found.append(ReportTask("map", models.column, arguments, 0.0002 / plan.map_steps[0]))
     for case in models.docking_cases(plan, names):
         found.append(ReportTask("dockings", models.complete_docking, case, 2.0))
-    docked = list(parts.PARTS)[: plan.parts]
-    found += [ReportTask("parts", parts.answer, (name, plan.dockings), 5.0) for name in docked]
     found += [ReportTask("traces", models.trace, (LIGHT, step), 0.2) for step in (0.001, 0.01, 0.1)]
     found += lean.tasks(plan, names)
     if MUJOCO in names:
@@ -129,23 +242,16 @@ def targets(results: dict[str, Any]) -> list[dict[str, Any]]:
     ]
     error = next(row for row in results["errors"] if row["model"] == LIGHT and row["step"] == TARGET_STEP)
     speed = next(row for row in results["times"] if row["model"] == LIGHT and row["step"] == TARGET_STEP)
-    diverged = sum(point["cell"] == stability.DIVERGED for point in light)
-    broken = [row for row in results["extremes"] if row["model"] == LIGHT and not row["ok"]]
-    gain = max(100.0 * row["gain"] / row["released"] for row in results["energy"])
+    diverged = sum(point["cell"] == models.DIVERGED for point in light)
     forces = max(point["force_percent"] for point in at)
-    kept = f"of {sum(row['model'] == LIGHT for row in results['extremes'])}"
     peaks = impact.at_docking(results["strikes"], grazing=False)
-    order = results["convergence"]["swing in free air"]["order"]
     return [
         at_least("light model at 10 ms, in motion", speed["moving"], 500.0, "× real"),
         at_most("light model at 10 ms, position", error["rms_mm"], 0.15, "mm rms"),
-        at_most("solver tolerance: settled force at 10 ms, 1e3–1e7 N/m, worst", forces, stability.FORCE_LIMIT, "%"),
-        at_most(PEAKS, impact.at_docking(results["strikes"]), stability.PEAK_LIMIT, "%"),
-        at_most(f"{PEAKS} of strikes that do not graze the stop", peaks, stability.PEAK_LIMIT, "%"),
+        at_most("solver tolerance: settled force at 10 ms, 1e3–1e7 N/m, worst", forces, models.FORCE_LIMIT, "%"),
+        at_most(PEAKS, impact.at_docking(results["strikes"]), models.PEAK_LIMIT, "%"),
+        at_most(f"{PEAKS} of strikes that do not graze the stop", peaks, models.PEAK_LIMIT, "%"),
         none("light model, diverged points of the map", diverged, f"of {len(light)}"),
-        none("light model, extremes whose law is broken", len(broken), kept),
-        at_most("passive charger's energy, largest gain", gain, 1.0, "%"),
-        at_least("order of convergence, free motion", order, 1.0, ""),
         *lean.targets(results),
         at_most("run time of this report", results["elapsed_s"] / 60.0, 10.0, "min"),
     ]
@@ -159,9 +265,7 @@ def is_calm(row: dict[str, Any]) -> bool:
 def settled(errors: Iterable[dict[str, Any]]) -> list[float]:
     """Return the forces (N) at rest of runs with friction, at steps up to 10 ms that are right without friction."""
     calm = [
-        row
-        for row in errors
-        if is_calm(row) and row["step"] <= 0.01 and abs(row["force_percent"]) < stability.FORCE_LIMIT
+        row for row in errors if is_calm(row) and row["step"] <= 0.01 and abs(row["force_percent"]) < models.FORCE_LIMIT
     ]
     return [row["force_rubbing"] for row in calm if row["force_rubbing"] > 0]
 

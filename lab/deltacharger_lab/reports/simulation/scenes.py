@@ -4,25 +4,54 @@
 from __future__ import annotations
 
 import functools
+import importlib.util
 import logging
 import math
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from deltacharger_core.machine import SERVO_STIFFNESS, STALL_CURRENT, TORQUE_CONSTANT
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_lab.reports.simulation.usual import as_users_set_it, was_reset
+from deltacharger_lab.mujoco.world import MujocoMechanics, mujoco_world
 from deltacharger_sim.pads.pad_source import approach
 from deltacharger_sim.parameters import ContactParameters, ServoParameters, WorldParameters
 from deltacharger_sim.world import World
 from deltacharger_tactile.contact import ContactModel
 
+
+def as_users_set_it(world: World) -> World:
+    """Return the world with MuJoCo's usual settings, called "usual" in the report.
+
+    The world's MuJoCo gives contacts a stiffness at rest (`solref` negative) and switches off the guard that keeps time
+    constants at two steps or more (`refsafe`), so the stiffness is as requested at any step. A usual model keeps the
+    guard and MuJoCo's automatic reset, and gives positive time constants, here those of the same springs, critically
+    damped; if two steps are longer, the guard softens the contact instead of letting it diverge.
+    """
+    mechanics = world.mechanics
+    assert isinstance(mechanics, MujocoMechanics)
+    import mujoco
+
+    model: Any = mechanics.model
+    for flag in (mujoco.mjtDisableBit.mjDSBL_REFSAFE, mujoco.mjtDisableBit.mjDSBL_AUTORESET):
+        model.opt.disableflags &= ~int(flag)
+    for rows in (model.pair_solref, model.jnt_solref):
+        for row in rows:
+            if row[0] < 0.0:
+                row[:] = (1.0 / math.sqrt(-row[0]), 1.0)
+    return world
+
+
+def was_reset(world: World) -> bool:
+    """Return whether MuJoCo met numbers that it could not continue with, and was reset."""
+    data: Any = getattr(world.mechanics, "data", None)
+    return data is not None and any(int(warning.number) for warning in data.warning)
+
+
 DELTA = ScalarDelta()
 LIGHT = "light"
-EXTRAPOLATED = "light, extrapolated"
 TICK = 0.1  # s between commands of the docking; every step of the report divides it
 SAMPLE = 0.01  # s between compared positions, if the step allows
 TRAVEL, PUSH = 0.060, 0.086  # m of command along z before and at the end of the docking
@@ -32,15 +61,9 @@ PATH_TICKS, HOLD = 12, 1.0  # of the compared path; s of rest after it, until th
 
 
 def model_world(name: str, parameters: WorldParameters, step: float) -> World:
-    """Return a world of the light model, of its competitor, or of MuJoCo with an integrator and steps of `step` s."""
+    """Return a world of the light model, or of MuJoCo with an integrator and steps of `step` s."""
     if name == LIGHT:
         return World(parameters)
-    if name == EXTRAPOLATED:
-        from deltacharger_lab.reports.simulation.extrapolated import ExtrapolatedMechanics
-
-        return World(parameters, mechanics=ExtrapolatedMechanics)
-    from deltacharger_lab.mujoco.world import mujoco_world
-
     # The report measures where it diverges.
     logging.getLogger("deltacharger_lab.mujoco.world").setLevel(logging.ERROR)
     found = mujoco_world(parameters, step=step, integrator=name.split()[-1])
@@ -196,3 +219,77 @@ def settled_exactly(parameters: WorldParameters, command: float) -> float:
 def electrode_force(contact: ContactParameters, depth: float) -> float:
     """Return the force (N) of both electrodes at a compression (m)."""
     return 2.0 * contact.stiffness * depth + contact.hard_stop_stiffness * max(depth - contact.hard_stop, 0.0)
+
+
+MUJOCO = "MuJoCo discrete"
+MUJOCO_FAST = "MuJoCo implicitfast"
+MUJOCO_USUAL = "MuJoCo usual implicitfast"
+
+
+@dataclass(frozen=True)
+class SimulationPlan:
+    """One report; the defaults are those of the committed one.
+
+    Attributes:
+        reference_step: of the tiny-step reference, s.
+        steps: of the compared models, s.
+        map_steps: of the stability map, s.
+        map_contacts: its contact stiffnesses, N/m.
+        map_servos: its servo stiffnesses, N·m/rad.
+        strike_contacts: contact stiffnesses of the impacts, N/m.
+        strike_servos: their servo stiffnesses, N·m/rad.
+        strike_steps: of the world, s.
+        repeats: minimum of every timing; the fastest counts.
+        timing_s: processor time for which a timing is repeated.
+        dockings: seeds of complete dockings for each model.
+        docking_steps: of their worlds, s.
+        quick: whether it is the short plan.
+    """
+
+    reference_step: float = 5e-5
+    steps: tuple[float, ...] = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 1e-1)
+    map_steps: tuple[float, ...] = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 1e-1)
+    map_contacts: tuple[float, ...] = (1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9)
+    map_servos: tuple[float, ...] = (2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0)
+    strike_contacts: tuple[float, ...] = (1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9)
+    strike_servos: tuple[float, ...] = (2.0, 2.5, 15.0, 40.0)
+    strike_steps: tuple[float, ...] = (1e-3, 2e-3, 5e-3, 1e-2, 2e-2)
+    repeats: int = 5
+    timing_s: float = 0.5
+    dockings: tuple[int, ...] = (1, 2, 3, 4)
+    docking_steps: tuple[float, ...] = (1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 1e-1)
+    quick: bool = False
+
+
+QUICK = SimulationPlan(
+    reference_step=2e-4,
+    steps=(1e-3, 5e-3, 1e-2, 1e-1),
+    map_steps=(1e-3, 1e-2, 1e-1),
+    map_contacts=(1e3, 1e5, 1e9),
+    map_servos=(15.0,),
+    strike_contacts=(1e3, 1e5, 1e6, 1e7),
+    strike_servos=(15.0,),
+    strike_steps=(5e-3, 1e-2, 2e-2),
+    repeats=2,
+    timing_s=0.2,
+    dockings=(1,),
+    docking_steps=(1e-2,),
+    quick=True,
+)
+"""The short plan."""
+
+
+def absent() -> dict[str, str]:
+    """Return missing libraries, each with what is left out."""
+    if importlib.util.find_spec("mujoco") is None:
+        return {"mujoco": "install deltacharger-lab[sim]; the light model with tiny steps is then its own reference"}
+    return {}
+
+
+def models_here() -> tuple[str, ...]:
+    """Return the names of the models available here, the light one first."""
+    if absent():
+        return (LIGHT,)
+    from deltacharger_lab.mujoco.world import integrators
+
+    return (LIGHT, *(name for name in (MUJOCO, MUJOCO_FAST, MUJOCO_USUAL) if name.split()[-1] in integrators()))

@@ -29,9 +29,7 @@ class TactilePlan:
         seeds: of the dockings, on each rig.
         names: models.
         judged: models in the tables of shifts, reliability and confusion.
-        split_rigs: devices of the comparison of splits.
-        ceiling_sets: paper-size sets of one rig that the ceiling is learnt from.
-        ceiling_rigs: devices of the section on one and several dockings.
+        variant_rigs: devices on which families of the second contact physics are judged.
         windows: windows of dockings drawn from each data set.
         repeats: single predictions that are timed.
         second_count: dockings of the second contact physics on each rig, for the pretrained estimates.
@@ -42,9 +40,7 @@ class TactilePlan:
     seeds: tuple[int, ...]
     names: tuple[str, ...]
     judged: tuple[str, ...]
-    split_rigs: tuple[int, ...]
-    ceiling_sets: int
-    ceiling_rigs: tuple[int, ...]
+    variant_rigs: tuple[int, ...]
     windows: int
     repeats: int
     second_count: int
@@ -57,14 +53,14 @@ def full_plan(seed: int) -> TactilePlan:
     judged = _trainable(("forest", "cnn", "lda", "pose"))
     seeds = (3 * seed,)
     rigs = tuple(range(860, 870))
-    return TactilePlan(rigs, seeds, names, judged, (860, 861, 862), 18, (860, 861), 60, 2000, 600, quick=False)
+    return TactilePlan(rigs, seeds, names, judged, (860, 861), 60, 2000, 600, quick=False)
 
 
 def quick_plan(seed: int) -> TactilePlan:
     """Return the short plan, also of the tests: one rig, one seed, few models."""
     names = _trainable(("forest", "nn", "lda", "pose"))
     judged = _trainable(("lda", "pose"))
-    return TactilePlan((860,), (3 * seed,), names, judged, (860, 861), 3, (860,), 20, 200, 60, quick=True)
+    return TactilePlan((860,), (3 * seed,), names, judged, (860,), 20, 200, 60, quick=True)
 
 
 def default(plan: TactilePlan) -> str:

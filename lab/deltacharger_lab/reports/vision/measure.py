@@ -14,11 +14,9 @@ import numpy as np
 
 from deltacharger_core.arrays import Array
 from deltacharger_lab.mujoco.camera import MujocoCamera
-from deltacharger_lab.reports.vision.conditions import CONDITIONS, MUJOCO, Condition
-from deltacharger_lab.reports.vision.views import DrawnView, about, draw_light
+from deltacharger_lab.reports.vision.conditions import CONDITIONS, MUJOCO, Condition, DrawnView, about, draw_light
 from deltacharger_vision.detector.detection import Detection
 from deltacharger_vision.detector.detector import ElectrodeDetector
-from deltacharger_vision.errors import ImageError
 from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.placed import Placed
@@ -76,8 +74,7 @@ class Photographer:
             self._cameras[known] = (MujocoCamera if condition.renderer == MUJOCO else SimulatedCamera)(*known[:2])
         random = np.random.default_rng([seed, condition.stream, 1])
         image = self._cameras[known].render(view.scene, view.pose, random, condition.color_only)
-        image = RgbdImage(image.color, image.depth, condition.assumed)
-        return Sample(view, condition.change(image, view, np.random.default_rng([seed, condition.stream, 2])))
+        return Sample(view, RgbdImage(image.color, image.depth, condition.assumed))
 
     def close(self) -> None:
         """Release the cameras."""
@@ -94,11 +91,7 @@ def judge(name: str, seeds: Sequence[int]) -> tuple[str, list[list[float]]]:
     with contextlib.closing(Photographer()) as photographer:
         rows = []
         for seed in seeds:
-            try:
-                sample = photographer.take(condition, seed)
-            except ImageError:  # refused before detection
-                rows.append([float(seed), *errors(None, np.eye(4))])
-                continue
+            sample = photographer.take(condition, seed)
             found = detector.detect(sample.image)
             rows.append([float(seed), *errors(found, sample.view.pose, condition.real)])
     return name, rows
