@@ -1,11 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An RGB-D image and its camera, checked once on input."""
+"""An RGB-D image and its camera, checked once on input: the lens, and pairs of images by their stamps.
+
+Conversion between pixels and rays with lens distortion; it undistorts points, never images.
+The distortion models are those of OpenCV and ROS (plumb_bob and rational_polynomial), both ways, in numpy alone. For a
+direction x/z, y/z in the optical frame, with r² = x² + y²:
+radial = (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶);
+x' = x radial + 2 p1 x y + p2 (r² + 2 x²), y' = y radial + p1 (r² + 2 y²) + 2 p2 x y.
+"""
 
 from __future__ import annotations
 
+import bisect
 import dataclasses
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -233,3 +241,194 @@ def _depth(array: NDArray[Any], unit: float) -> NDArray[np.float32]:
         metres = array.astype(np.float32)
     metres[~np.isfinite(metres) | (metres == 0.0)] = np.nan  # also float64 values out of float32's range
     return metres
+
+
+_STEPS = 30
+_CLOSE = 1e-9
+
+
+def rays(pixels: Array, intrinsics: Intrinsics) -> Array:
+    """Return x/z and y/z (..., 2) of the rays through pixels (..., 2).
+
+    Raises:
+        CameraInfoError: the distortion is not one-to-one there.
+    """
+    seen = (pixels - [intrinsics.cx, intrinsics.cy]) / [intrinsics.fx, intrinsics.fy]
+    return undistort(seen, intrinsics.distortion)
+
+
+def check_lens(intrinsics: Intrinsics) -> None:
+    """Refuse a lens that maps two directions to one pixel of the image's border.
+
+    Raises:
+        CameraInfoError: it does so.
+    """
+    if intrinsics.distortion:
+        x, y = np.meshgrid(np.linspace(0.0, intrinsics.width - 1.0, 3), np.linspace(0.0, intrinsics.height - 1.0, 3))
+        rays(np.stack([x, y], axis=-1), intrinsics)
+
+
+def project(points: Array, intrinsics: Intrinsics) -> Array:
+    """Return the pixels (..., 2) of points (..., 3) m in the optical frame, in front of the camera."""
+    seen = distort(points[..., :2] / points[..., 2:], intrinsics.distortion)
+    return np.asarray(seen * [intrinsics.fx, intrinsics.fy] + [intrinsics.cx, intrinsics.cy])
+
+
+def distort(points: Array, distortion: tuple[float, ...]) -> Array:
+    """Return the distorted directions of ideal ones (..., 2)."""
+    return _distorted(points, distortion)[0] if distortion else np.array(points, dtype=float)
+
+
+def undistort(points: Array, distortion: tuple[float, ...]) -> Array:
+    """Return the ideal directions of distorted ones (..., 2), by Newton's method.
+
+    Raises:
+        CameraInfoError: the distortion is not one-to-one there, as with a wrong calibration.
+    """
+    ideal = np.array(points, dtype=float)
+    if not distortion:
+        return ideal
+    for _ in range(_STEPS):
+        seen, jacobian = _distorted(ideal, distortion)
+        error = seen - points
+        if np.abs(error).max() < _CLOSE:
+            if jacobian[..., 3].min() <= 0.0:
+                break
+            return ideal
+        a, b, c, determinant = np.moveaxis(jacobian, -1, 0)
+        step = np.stack([c * error[..., 0] - b * error[..., 1], a * error[..., 1] - b * error[..., 0]], axis=-1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ideal -= np.nan_to_num(step / determinant[..., None], posinf=0.0, neginf=0.0)
+    raise CameraInfoError("distortion", "two directions fall on one pixel of the image; calibrate the camera again")
+
+
+def _distorted(points: Array, distortion: tuple[float, ...]) -> tuple[Array, Array]:
+    """Return distorted directions (..., 2) and (..., 4): dx'/dx, dx'/dy = dy'/dx, dy'/dy and their determinant."""
+    k1, k2, p1, p2, k3, k4, k5, k6 = (*distortion, 0.0, 0.0, 0.0)[:8]
+    x, y = points[..., 0], points[..., 1]
+    s = x * x + y * y
+    above, below = 1 + s * (k1 + s * (k2 + s * k3)), 1 + s * (k4 + s * (k5 + s * k6))
+    radial = above / below
+    slope = 2 * (k1 + s * (2 * k2 + s * 3 * k3) - radial * (k4 + s * (2 * k5 + s * 3 * k6))) / below
+    seen = np.stack(
+        [
+            x * radial + 2 * p1 * x * y + p2 * (s + 2 * x * x),
+            y * radial + p1 * (s + 2 * y * y) + 2 * p2 * x * y,
+        ],
+        axis=-1,
+    )
+    a = radial + x * x * slope + 2 * p1 * y + 6 * p2 * x
+    b = x * y * slope + 2 * p1 * x + 2 * p2 * y
+    c = radial + y * y * slope + 6 * p1 * y + 2 * p2 * x
+    return seen, np.stack([a, b, c, a * c - b * b], axis=-1)
+
+
+Color = TypeVar("Color")
+Depth = TypeVar("Depth")
+Item = TypeVar("Item")
+
+_JUMP = 1_000_000_000
+"""ns; networks do not reorder messages over so long: the clock was set back, or a recording restarted."""
+
+
+class StampMatcher(Generic[Color, Depth]):
+    """Pairs each colour image with the nearest depth, as soon as both have arrived.
+
+    An exact match has priority, then the nearest within the tolerance. Every item is returned at most once, in order:
+    items older than the last pair are dropped. If an item is more than 1 s older than an earlier one of its kind, the
+    clock was set back: waiting items from before are dropped, and the order restarts. Of several items with one stamp,
+    the first counts.
+
+    Args:
+        tolerance_ns: largest difference of stamps, 0 to 1 s; below half the image period, no nearer item can arrive
+            later.
+        depth: most waiting items of each kind; the oldest is dropped.
+    """
+
+    def __init__(self, tolerance_ns: int, depth: int = 8) -> None:
+        self._tolerance = tolerance_ns
+        self._colors: _Waiting[Color] = _Waiting(depth)
+        self._depths: _Waiting[Depth] = _Waiting(depth)
+
+    def __len__(self) -> int:
+        """Return the number of waiting items."""
+        return len(self._colors.stamps) + len(self._depths.stamps)
+
+    def add_color(self, stamp_ns: int, item: Color) -> tuple[int, Color, Depth] | None:
+        """Add a colour image; return its stamp, the image and its depth if that has arrived."""
+        return self._matched(stamp_ns) if self._taken(self._colors, stamp_ns, item) else None
+
+    def add_depth(self, stamp_ns: int, item: Depth) -> tuple[int, Color, Depth] | None:
+        """Add a depth image; return its colour's stamp, the colour and the depth if the colour has arrived."""
+        return self._matched(stamp_ns) if self._taken(self._depths, stamp_ns, item) else None
+
+    def clear(self) -> None:
+        """Drop all items, for example after a pause."""
+        self._colors.clear()
+        self._depths.clear()
+
+    def _taken(self, stream: _Waiting[Item], stamp: int, item: Item) -> bool:
+        """Add an item and return whether it waits."""
+        if stream.newest is not None and stamp < stream.newest - _JUMP:
+            stream.newest = None
+            self._colors.forget_after(stamp + _JUMP)
+            self._depths.forget_after(stamp + _JUMP)
+        return stream.add(stamp, item)
+
+    def _matched(self, stamp: int) -> tuple[int, Color, Depth] | None:
+        """Return the pair with the item just added; no other pair can be new."""
+        color, depth = self._colors.nearest(stamp), self._depths.nearest(stamp)
+        if color is None or depth is None or abs(color - depth) > self._tolerance:
+            return None
+        return color, self._colors.take(color), self._depths.take(depth)
+
+
+class _Waiting(Generic[Item]):
+    """Items of one kind, by increasing stamp.
+
+    Attributes:
+        stamps: of the waiting items, ns.
+        newest: largest stamp since the clock was last set back.
+    """
+
+    def __init__(self, room: int) -> None:
+        self._room = room
+        self.clear()
+
+    def clear(self) -> None:
+        self.stamps: list[int] = []
+        self.newest: int | None = None
+        self._items: list[Item] = []
+        self._given: int | None = None
+
+    def add(self, stamp: int, item: Item) -> bool:
+        """Add an item; False if it is a duplicate, not newer than the last pair, or older than all in a full queue."""
+        self.newest = stamp if self.newest is None else max(stamp, self.newest)
+        place = bisect.bisect_left(self.stamps, stamp)
+        if (self._given is not None and stamp <= self._given) or self.stamps[place : place + 1] == [stamp]:
+            return False
+        self.stamps.insert(place, stamp)
+        self._items.insert(place, item)
+        if len(self.stamps) <= self._room:
+            return True
+        del self.stamps[0], self._items[0]
+        return place > 0
+
+    def nearest(self, stamp: int) -> int | None:
+        """Return the stamp nearest to `stamp`, the older of two, or None if nothing waits."""
+        return min(self.stamps, key=lambda each: abs(each - stamp), default=None)
+
+    def take(self, stamp: int) -> Item:
+        """Return the waiting item of a stamp, and drop it with all older ones."""
+        place = self.stamps.index(stamp)
+        item = self._items[place]
+        del self.stamps[: place + 1], self._items[: place + 1]
+        self._given = stamp
+        return item
+
+    def forget_after(self, stamp: int) -> None:
+        """Drop items newer than `stamp`, from before the clock was set back."""
+        kept = bisect.bisect_right(self.stamps, stamp)
+        del self.stamps[kept:], self._items[kept:]
+        if self._given is not None and self._given > stamp:
+            self._given = None

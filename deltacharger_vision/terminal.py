@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Geometry of a terminal: two metal bars, one above the other, raised from a dark plate."""
+"""A terminal: geometry of two metal bars raised from a dark plate, its poses and its detection in an image.
+
+A pose is (rotation (3, 3), translation (3,) m): terminal coordinates to the optical frame. Inside the detector, the
+terminal's frame has its origin at the midpoint of the touched faces, x along the bars and z away from the camera.
+The bars' roots on the plate are at z = +bar_thickness.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from deltacharger_core.arrays import Array
 from deltacharger_core.machine import BAR_GAP, BAR_HEIGHT, BAR_LENGTH
@@ -69,3 +75,73 @@ class Terminal(Bounded):
             return from_mapping(found, Terminal)
         except ParameterError as error:
             raise TerminalError(source, str(error)) from error
+
+
+@dataclass(frozen=True)
+class TerminalPose:
+    """Pose of the terminal in the optical frame: rotation (3, 3), translation (3,) m."""
+
+    rotation: Array
+    translation: Array
+
+    def moved(self, step: Array) -> TerminalPose:
+        """Return the pose after a step (6,): translation (m), then rotation about the optical axes (rad)."""
+        return TerminalPose(turn(step[3:]) @ self.rotation, self.translation + step[:3])
+
+    def points(self, terminal_points: Array) -> Array:
+        """Return points (..., 3) of the terminal in the optical frame, m."""
+        return np.asarray(terminal_points @ self.rotation.T + self.translation)
+
+
+def turn(vector: Array) -> Array:
+    """Return the rotation matrix of a rotation vector (3,) rad (Rodrigues)."""
+    angle = float(np.linalg.norm(vector))
+    skew = cross_matrix(vector)
+    if angle < 1e-9:
+        return np.asarray(np.eye(3) + skew)
+    return np.asarray(np.eye(3) + np.sin(angle) / angle * skew + (1.0 - np.cos(angle)) / angle**2 * skew @ skew)
+
+
+def transform(rotation: Array, position: ArrayLike) -> Array:
+    """Return the transform (4, 4) of a rotation (3, 3) and a position (3,) m."""
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation, position
+    return pose
+
+
+def cross_matrix(vector: Array) -> Array:
+    """Return [v]× of a vector (3,), so that [v]× w = v × w."""
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def facing(pose: TerminalPose) -> float:
+    """Return the cosine between the line of sight and the terminal's z axis: 1 from the front, 0 edge-on."""
+    return float(pose.rotation[:, 2] @ pose.translation / np.linalg.norm(pose.translation))
+
+
+@dataclass(frozen=True)
+class Detection:
+    """Pose of a terminal's electrodes, in the camera's optical frame (x right, y down, z forward).
+
+    Attributes:
+        position: (3,) m, midpoint between the bars' touched faces.
+        roll: rad in (−π/2, π/2], from +x to the projection of the bars' long axis on the x–y plane.
+        axis: (3,) unit vector along the bars; its projection on the x–y plane has the angle `roll`.
+        normal: (3,) unit normal of the touched faces, toward the camera; NaN if unreliable.
+        covariance: (6, 6) of position (m) and of a small rotation about the frame's x, y, z (rad).
+        confidence: 0 to 1: visible share of the bars' outlines, reduced if image and depth disagree.
+        range: m, from the camera's centre to `position`.
+        bars: (2, 4, 2) px, corners of the touched faces in the image, in order around each bar.
+        source: "both" image and depth, or "image" alone, as in ElectrodeDetection.
+    """
+
+    position: Array
+    roll: float
+    axis: Array
+    normal: Array
+    covariance: Array
+    confidence: float
+    range: float
+    bars: Array
+    source: str

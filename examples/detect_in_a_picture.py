@@ -16,8 +16,7 @@ import sys
 import cv2
 import numpy as np
 
-from deltacharger_vision.detector.annotate import annotated
-from deltacharger_vision.detector.detector import ElectrodeDetector
+from deltacharger_vision.detector.detector import ElectrodeDetector, annotated
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.rendering.camera import SimulatedCamera
 from deltacharger_vision.rendering.scene import RenderedScene

@@ -22,15 +22,14 @@ from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.parameters import ParameterError
 from deltacharger_kinematics.calibration.table import MILLIMETRE
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
-from deltacharger_vision.cameras.camera_info import load_camera_info
+from deltacharger_vision.cameras.ros_formats import load_camera_info
 from deltacharger_vision.errors import VisionError
 from deltacharger_vision.hand_eye.board import AprilTag, Board, markers_in, parse_board
-from deltacharger_vision.hand_eye.board_print import board_svg
-from deltacharger_vision.hand_eye.calibrate import Calibration, calibrate
-from deltacharger_vision.hand_eye.checks import doubts, held_out_rms, notes
+from deltacharger_vision.hand_eye.calibrate import Calibration, calibrate, doubts, held_out_rms, notes
 from deltacharger_vision.hand_eye.views import Beliefs
 from deltacharger_vision.image_files import CAMERA_INFO, require_opencv
 from deltacharger_vision.mount import Mount, quaternion
+from deltacharger_vision.rendering.board_drawing import board_svg
 
 _FAR = (0.020, math.radians(10.0))
 """Distance from the believed mount, m and rad; beyond it a wrong input is likelier than a bent bracket."""

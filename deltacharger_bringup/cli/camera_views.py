@@ -29,9 +29,8 @@ from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_vision.hand_eye.board import Board
 from deltacharger_vision.hand_eye.views import View
 from deltacharger_vision.image_files import CAMERA_INFO, PICTURES, read_color, write_picture
-from deltacharger_vision.images import Intrinsics, rgb8
+from deltacharger_vision.images import Intrinsics, project, rgb8
 from deltacharger_vision.mount import Mount
-from deltacharger_vision.projection import project
 
 VIEWS = "views.csv"
 MOST = 2000
@@ -173,7 +172,7 @@ class ViewsFolder:
         return name
 
     def _resume(self, intrinsics: Intrinsics) -> None:
-        from deltacharger_vision.cameras.camera_info import load_camera_info
+        from deltacharger_vision.cameras.ros_formats import load_camera_info
 
         rows = read_rows(self._folder)
         ours = all(row.angles is not None and row.image == f"view_{n:03}.png" for n, row in enumerate(rows, start=1))

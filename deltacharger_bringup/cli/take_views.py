@@ -24,7 +24,7 @@ from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_records.datasets.arm_client import STILL, ArmClient, ArmError
 from deltacharger_ros import qos
 from deltacharger_ros.client import Guest
-from deltacharger_vision.cameras.ros_images import color_array
+from deltacharger_vision.cameras.ros_formats import color_array
 from deltacharger_vision.hand_eye.board import Board, markers_in
 from deltacharger_vision.hand_eye.calibrate import PLACES_APART
 from deltacharger_vision.images import Intrinsics, rgb8

@@ -18,17 +18,14 @@ from deltacharger_bringup.cli.arguments import between, folder_to_write
 from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, Result, Tenths, WrongInput, log_line, wrong_input
 from deltacharger_core import environment
 from deltacharger_core.mcap_file import RecordingError, recordings_in
-from deltacharger_vision.cameras.camera_info import load_camera_info
 from deltacharger_vision.cameras.recording import CameraRecording, CameraTopics
-from deltacharger_vision.detector.annotate import annotated
-from deltacharger_vision.detector.detection import Detection
-from deltacharger_vision.detector.detector import ElectrodeDetector
+from deltacharger_vision.cameras.ros_formats import load_camera_info
+from deltacharger_vision.detector.detector import ElectrodeDetector, annotated
 from deltacharger_vision.errors import VisionError
 from deltacharger_vision.image_files import CAMERA_INFO, PICTURES, ImageFiles, images_in, require_opencv, write_picture
 from deltacharger_vision.images import RgbdImage
-from deltacharger_vision.mount import CAMERA_FRAME, FRAME, Mount
-from deltacharger_vision.placed import Placed
-from deltacharger_vision.terminal import Terminal
+from deltacharger_vision.mount import CAMERA_FRAME, FRAME, Mount, Placed
+from deltacharger_vision.terminal import Detection, Terminal
 
 _TOPICS = ("color_topic", "depth_topic", "info_topic")
 _PLACED = ("position", "roll", "normal", "covariance")

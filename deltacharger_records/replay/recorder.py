@@ -99,7 +99,7 @@ class Recorder(Guest):
         return on_message
 
     def _on_image(self, message: Image) -> None:
-        from deltacharger_vision.cameras.ros_images import color_array
+        from deltacharger_vision.cameras.ros_formats import color_array
 
         seen = color_array(message)
         with self._lock:

@@ -186,7 +186,7 @@ class ViewFeed:
             self._on_misalignment(message.feedback.misalignment, now)
 
     def _on_image(self, name: str, message: Any) -> None:
-        from deltacharger_vision.cameras.ros_images import color_array
+        from deltacharger_vision.cameras.ros_formats import color_array
 
         pixels = color_array(message)
         self._log.picture(name, (pixels >> 8).astype("uint8") if pixels.dtype == "uint16" else pixels)

@@ -33,8 +33,8 @@ from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import SERVICE
 from deltacharger_scenes.mocks.fault_switch import FaultSwitch
 from deltacharger_scenes.mocks.parameters import DETECTOR_FAULTS, MockDetectorNodeParameters
-from deltacharger_vision.placed import Placed, leaning_normal
-from deltacharger_vision.ros.detections import detection_message
+from deltacharger_vision.mount import Placed, leaning_normal
+from deltacharger_vision.ros.messages import detection_message
 
 _STALE_AGE = 10.0  # s
 _FAR = 0.5  # m

@@ -32,12 +32,12 @@ from deltacharger_vision.errors import VisionError
 from deltacharger_vision.hand_eye.board import Board, parse_board
 from deltacharger_vision.images import COLOR, DEPTH
 from deltacharger_vision.mount import Mount
-from deltacharger_vision.poses import turn
 from deltacharger_vision.rendering.board_drawing import bracket, with_board
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
 from deltacharger_vision.rendering.scene import RenderedScene, shifted
 from deltacharger_vision.rendering.scene_drawing import charger_parts, draw_scene
-from deltacharger_vision.ros.publishers import CameraPublishers
+from deltacharger_vision.ros.messages import CameraPublishers
+from deltacharger_vision.terminal import turn
 
 _PAUSE = 0.05  # s between two checks for subscribers
 _ARM = 1.0  # s that an image waits for the arm's angles

@@ -32,14 +32,19 @@ from deltacharger_ros.clock import steady_timer
 from deltacharger_ros.diagnostics import ERROR, OK, Diagnostics
 from deltacharger_ros.log import Log
 from deltacharger_ros.parameters import declare_all, reject_unknown
-from deltacharger_vision.cameras.keeper import CameraKeeper, ImageSource, OpenCamera
-from deltacharger_vision.cameras.oak_pipeline import OakCamera, OakImage, OakSettings
+from deltacharger_vision.cameras.oak_pipeline import (
+    CameraKeeper,
+    ImageSource,
+    OakCamera,
+    OakImage,
+    OakSettings,
+    OpenCamera,
+)
 from deltacharger_vision.cameras.recording import CameraRecording, Recorded
 from deltacharger_vision.errors import VisionError
 from deltacharger_vision.images import COLOR, INFO
 from deltacharger_vision.parameters import ReplayParameters
-from deltacharger_vision.ros.messages import stamp_ns
-from deltacharger_vision.ros.publishers import CameraPublishers
+from deltacharger_vision.ros.messages import CameraPublishers, stamp_ns
 from deltacharger_vision.ros.recorded import decoded
 
 _DIAGNOSTICS_PERIOD = 1.0  # s

@@ -4,6 +4,12 @@
 Blobs → pairs → corners (IPPE) → edges → plane of the plate → one least-squares fit of edges and plane → judgement.
 If that fails: pieces between edges → pairs of lines → positions on the plate's plane → edges → judgement.
 A pose without visible outlines, or contradicted by depth, is not returned.
+
+Poses of partly hidden bars on the plane of their plate, from visible parts only.
+A cable or a strap cuts a bar into pieces, and an end of a piece need not be an end of a bar. The plate's plane gives
+the bars' distance, and so their length in the image. Each end visible beside the plate then fixes their position.
+There is no result if the plate is visible where a pose has a bar, if a bar continues beyond its end, or if two poses
+explain the image.
 """
 
 from __future__ import annotations
@@ -12,18 +18,104 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from deltacharger_vision.detector.detection import Detection
-from deltacharger_vision.detector.judgement import FOCAL_ERROR, Candidate
-from deltacharger_vision.detector.pairing import Pair, find_cut_pairs, find_pairs
-from deltacharger_vision.detector.parts import PartsJudge
-from deltacharger_vision.detector.segmentation import find_blobs, find_pieces
+from deltacharger_core.arrays import Array, Mask
+from deltacharger_vision.detector.blobs import Pair, find_blobs, find_cut_pairs, find_pairs, find_pieces
+from deltacharger_vision.detector.edges import Lines
+from deltacharger_vision.detector.fit import by_spacing, on_plane
+from deltacharger_vision.detector.judgement import (
+    CLEAR_MISFIT,
+    DEPTH_AGREEMENT,
+    EXPECTED_RISE,
+    FARTHEST_TARGET,
+    FOCAL_ERROR,
+    NEAREST_TARGET,
+    Candidate,
+    Explanation,
+    Judge,
+    agree,
+)
+from deltacharger_vision.detector.plane import Plane, fit_plane
+from deltacharger_vision.detector.support import (
+    DEPTH_RISE,
+    END_SEEN,
+    LARGEST_SCATTER,
+    SIDE_SEEN,
+    SIDES_SEEN,
+    outline_shares,
+)
 from deltacharger_vision.errors import CameraInfoError
-from deltacharger_vision.images import DEPTH_BIAS, LIGHT, NEAREST_DEPTH, Intrinsics, RgbdImage
+from deltacharger_vision.images import DEPTH_BIAS, LIGHT, NEAREST_DEPTH, Intrinsics, RgbdImage, check_lens, project
 from deltacharger_vision.mount import line_angle
-from deltacharger_vision.poses import cross_matrix
-from deltacharger_vision.projection import check_lens, project
-from deltacharger_vision.terminal import Terminal
+from deltacharger_vision.terminal import Detection, Terminal, cross_matrix
+
+_LONG, _ENDS = (0, 2), (1, 3)
+_LEAST_ENDS = 2  # of four must be beside the plate
+_MESSY = 1.2  # times `clear`: a squared error that pieces do not explain
+
+
+class PartsJudge(Judge):
+    """A judge that also handles pairs of pieces."""
+
+    def judge_cut(self, pair: Pair) -> list[Candidate]:
+        """Return the poses of partly hidden bars on the plate's plane; none if depth shows no plane."""
+        intrinsics = self._image.intrinsics
+        start = by_spacing(pair, self._terminal, intrinsics)
+        if not 0.7 * NEAREST_TARGET < start.translation[2] < 1.4 * FARTHEST_TARGET:
+            return []
+        region = self._region(start, self._dark(start)[0])
+        plane = fit_plane(region, self._depth_bias, np.random.default_rng(0))
+        if plane is None or not agree(plane, start, 3.0 * DEPTH_AGREEMENT):
+            return []
+        found = []
+        for pose in on_plane(start, plane.coefficients, pair, self._terminal, intrinsics):
+            for each in self._search(pose, None, plane)[:1]:
+                if (candidate := self._by_parts(each, plane)) is not None:
+                    found.append(candidate)
+        return found
+
+    def _by_parts(self, explained: Explanation, plane: Plane) -> Candidate | None:
+        """Return the pose by visible parts of the bars, unless the plate is visible where they should be."""
+        edges, fused = explained.edges, explained.fit
+        shown = self._hiding(edges, fused, plane)
+        # A bar with a visible side ends where the side ends: the face's edge alone may be the other bar's.
+        ends, any_line = (
+            shown.ends & (outline_shares(edges.points, fused, outer)[:, _ENDS] >= END_SEEN) for outer in (True, False)
+        )
+        # Between a bar and the plate there is an edge, or the bar ends elsewhere.
+        if shown.refuted or shown.off or int(ends.sum()) < _LEAST_ENDS or np.any(shown.ends & ~any_line):
+            return None
+        # An edge at the end of a piece beside anything but the plate belongs to that thing.
+        kept = edges.without_ends(shown.ends)
+        both = kept.fit(fused.pose, plane)
+        alone = None if both is None else kept.fit(both.pose)
+        if both is None or alone is None:
+            return None
+        rise = kept.misfit(both, alone.scatter, plane) - kept.misfit(alone, alone.scatter)
+        if not rise <= DEPTH_RISE or both.scatter > LARGEST_SCATTER:
+            return None
+        shares = outline_shares(kept.points, both)
+        sides = shares[:, _LONG]
+        if sides.min() < SIDE_SEEN or sides.mean() < SIDES_SEEN:
+            return None
+        excess = self._misfit(kept, both, missed=False) / CLEAR_MISFIT
+        if excess > _MESSY:
+            return None
+        covariance = both.covariance * max(1.0, rise / EXPECTED_RISE, excess) + self._depth_doubt(both.pose, plane)
+        if not ends.any(axis=0).all():
+            # With one end only, it is unknown whether its face's edge or its side's root is visible.
+            unsure = self._side_seen(edges.points.lines, ends) * both.pose.translation[2] / self._focal
+            axis = both.pose.rotation[:, 0]
+            covariance[:3, :3] += unsure**2 * np.outer(axis, axis)
+        return Candidate(both.pose, covariance, float(shares.mean()), True, True)
+
+    @staticmethod
+    def _side_seen(lines: Lines, ends: Mask) -> float:
+        """Return the width (px) of the sides visible beside the ends (2, 2) that are True."""
+        two = np.isfinite(lines.room) & np.isin(lines.side, np.asarray(_ENDS)[ends.any(axis=0)])
+        return float(lines.room[two].max(initial=0.0))
+
 
 _SMOOTHING = 0.6  # px, standard deviation of the blur before edges are searched
 _SURE = 0.8  # confidence at which the search ends
@@ -146,3 +238,56 @@ def _differ(one: Candidate, other: Candidate) -> bool:
     apart = one.pose.translation - other.pose.translation
     spread = one.covariance[:3, :3] + other.covariance[:3, :3]
     return float(apart @ np.linalg.solve(spread, apart)) > _APART**2
+
+
+_GREEN, _RED, _WHITE = (60, 220, 60), (230, 60, 60), (255, 255, 255)
+_FRACTION = 4  # binary digits after the point of drawn coordinates
+_ARROW = 0.03  # m
+
+
+def annotated(image: RgbdImage, found: Detection | None) -> NDArray[np.uint8]:
+    """Return (H, W, 3) uint8 RGB: the bars' outlines, their midpoint, the normal if known, and the figures.
+
+    The image itself is not changed.
+    """
+    import cv2
+
+    picture = np.ascontiguousarray(image.color).copy()
+    if found is None:
+        _write(picture, ["no electrodes found"])
+        return picture
+    outlines = [np.round(bar * 2**_FRACTION).astype(np.int32) for bar in found.bars]
+    cv2.polylines(picture, outlines, True, _GREEN, 1, cv2.LINE_AA, _FRACTION)
+    middle = _pixel(found.position, image.intrinsics)
+    cv2.drawMarker(picture, middle, _RED, cv2.MARKER_CROSS, 11, 1, cv2.LINE_AA)
+    if np.all(np.isfinite(found.normal)):
+        tip = _pixel(found.position + _ARROW * found.normal, image.intrinsics)
+        cv2.arrowedLine(picture, middle, tip, _RED, 1, cv2.LINE_AA)
+    spread = 1e3 * np.sqrt(np.diag(found.covariance)[:3])
+    x, y, z = 1e3 * found.position
+    lines = [
+        f"x {x:.1f}  y {y:.1f}  z {z:.1f} mm",
+        f"+- {spread[0]:.2f}  {spread[1]:.2f}  {spread[2]:.2f} mm",
+        f"roll {math.degrees(found.roll):.2f} deg  confidence {found.confidence:.2f}  {found.source}",
+    ]
+    _write(picture, lines)
+    return picture
+
+
+def _pixel(point: Array, intrinsics: Intrinsics) -> tuple[int, int]:
+    x, y = np.clip(np.round(project(point, intrinsics)), -(2**15), 2**15)
+    return int(x), int(y)
+
+
+def _write(picture: NDArray[np.uint8], lines: list[str]) -> None:
+    """Write lines of text into the upper left corner, on a dark strip."""
+    import cv2
+
+    scale = max(0.35, picture.shape[0] / 900.0)
+    height = round(36 * scale)
+    width = max(cv2.getTextSize(line, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)[0][0] for line in lines)
+    strip = picture[: height * len(lines) + height // 2, : width + height]
+    strip[:] = strip // 3
+    for row, line in enumerate(lines):
+        place = (height // 3, height * (row + 1))
+        cv2.putText(picture, line, place, cv2.FONT_HERSHEY_SIMPLEX, scale, _WHITE, 1, cv2.LINE_AA)

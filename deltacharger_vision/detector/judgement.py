@@ -15,10 +15,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array
-from deltacharger_vision.detector.edges import EDGE_FOLLOW, EDGE_SEARCH, find_edges
-from deltacharger_vision.detector.hiding import Hiding, hiding
-from deltacharger_vision.detector.outlines import visible_lines
-from deltacharger_vision.detector.pairing import Pair
+from deltacharger_vision.detector.blobs import Pair
+from deltacharger_vision.detector.edges import EDGE_FOLLOW, EDGE_SEARCH, find_edges, visible_lines
+from deltacharger_vision.detector.fit import (
+    EDGE_BIAS,
+    EDGE_NOISE,
+    LARGE_LEANS,
+    ROUNDS,
+    SMALL_LEANS,
+    Edges,
+    PoseFit,
+    by_corners,
+    ends_swapped,
+    laid_over,
+    leaning,
+    mirrored,
+    tilted,
+)
 from deltacharger_vision.detector.plane import (
     FEWEST_DEPTHS,
     KNOWN_SHARE,
@@ -28,28 +41,18 @@ from deltacharger_vision.detector.plane import (
     is_noise,
     plate_region,
 )
-from deltacharger_vision.detector.refine import EDGE_BIAS, EDGE_NOISE, ROUNDS, Edges, PoseFit
-from deltacharger_vision.detector.starts import (
-    LARGE_LEANS,
-    SMALL_LEANS,
-    by_corners,
-    ends_swapped,
-    laid_over,
-    leaning,
-    mirrored,
-    tilted,
-)
 from deltacharger_vision.detector.support import (
     DEPTH_RISE,
     LIGHT_AROUND,
     SEEN_UNCHECKED,
+    Hiding,
+    hiding,
     outline_shares,
     plate_is_dark,
     supported,
 )
 from deltacharger_vision.images import RgbdImage
-from deltacharger_vision.poses import TerminalPose, facing
-from deltacharger_vision.terminal import Terminal
+from deltacharger_vision.terminal import Terminal, TerminalPose, facing
 
 NEAREST_TARGET = 0.08  # m, least range
 FARTHEST_TARGET = 1.1  # m, largest range: beyond it the gap is less than 3 px at f = 441 px

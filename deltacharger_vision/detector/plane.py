@@ -15,10 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array, Mask
-from deltacharger_vision.images import Intrinsics
-from deltacharger_vision.poses import TerminalPose
-from deltacharger_vision.projection import project, rays
-from deltacharger_vision.terminal import Terminal
+from deltacharger_vision.images import Intrinsics, project, rays
+from deltacharger_vision.terminal import Terminal, TerminalPose
 
 _BESIDE = 0.006  # m, width of the examined plate beyond the bars' ends
 _ABOVE = 0.020  # m, width of the examined plate above and below the bars

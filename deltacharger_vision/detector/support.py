@@ -1,21 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether edges and depth support a pose; unsupported poses are not reported."""
+"""What the image shows of a pose's bars: edges along them, and what hides their parts.
+
+Finds hidden and missing parts of a terminal: checks whether places beside edges look like its plate.
+Beside the plate, an end is the end of a bar; beside anything else, something hides the rest of the bar. Where a pose
+has a bar, the plate must not be visible. The plate is dark and behind; what hides a bar is bright or in front of it.
+"""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_core.arrays import Array
-from deltacharger_vision.detector.edges import EdgePoints
-from deltacharger_vision.detector.refine import PoseFit
-from deltacharger_vision.images import Intrinsics
-from deltacharger_vision.poses import TerminalPose
-from deltacharger_vision.projection import project
-from deltacharger_vision.terminal import Terminal
+from deltacharger_core.arrays import Array, Mask
+from deltacharger_vision.detector.edges import SAMPLES, EdgePoints, Lines
+from deltacharger_vision.detector.fit import PoseFit
+from deltacharger_vision.detector.plane import Plane
+from deltacharger_vision.images import Intrinsics, RgbdImage, project
+from deltacharger_vision.terminal import Terminal, TerminalPose
 
 _SEEN = 0.55  # least visible share of both outlines
 SEEN_UNCHECKED = 0.8  # least visible share of both outlines if no depth checks the pose
@@ -82,3 +87,142 @@ def supported(shares: Array, fit: PoseFit) -> float:
         and fit.scatter <= LARGEST_SCATTER
     )
     return overall if enough else 0.0
+
+
+_LONG_SIDES = 0, 2
+_ROWS = np.array([-0.25, 0.0, 0.25])  # of a bar's height
+_BESIDE = np.array([3.0, 4.5, 6.0])  # px beyond an end: nearer, stereo smears the bar's depth
+_WITHIN = np.array([1.5, 3.0, 4.5])  # px before it
+_BEHIND = 0.5  # of the bars' thickness: less height above the plate counts as plate
+_EMPTY = 3  # places of 2 × SAMPLES that may look like plate by chance
+_ALIKE = 4.0  # of these places share the noise of depth
+_LEAST = 8  # of these places must show bars
+_CERTAIN = 2.0  # standard deviations
+
+
+@dataclass(frozen=True)
+class Hiding:
+    """Appearance of a terminal's surroundings and faces in image and depth.
+
+    Attributes:
+        ends: (2, 2) whether each end of each bar, at +x and at −x, is beside the plate.
+        refuted: whether the plate is visible where the bars should be, or a bar where the plate should be.
+        off: whether known depth of the bars' faces differs from a bar's thickness above the plate.
+    """
+
+    ends: Mask
+    refuted: bool
+    off: bool
+
+
+def hiding(
+    grey: NDArray[Any],
+    image: RgbdImage,
+    pose: TerminalPose,
+    terminal: Terminal,
+    plane: Plane,
+    lines: Lines,
+    used: Mask,
+    dark: float,
+) -> Hiding:
+    """Check a terminal for hidden parts.
+
+    Args:
+        grey: (H, W) light.
+        image: with depth.
+        pose: of the terminal.
+        terminal: its size.
+        plane: plane of the plate.
+        lines: visible lines at the pose.
+        used: (L, S) places of these lines with an edge.
+        dark: largest light of the plate, relative to the bars'.
+    """
+    view = _View(grey, image, pose, plane)
+    bars = np.array([-0.5, 0.5]) * terminal.spacing
+    y = bars[:, None] + terminal.bar_height * _ROWS
+    x = 0.5 * terminal.bar_length * (2.0 * (np.arange(SAMPLES) + 0.5) / SAMPLES - 1.0)
+    light, raised = view.at(x[None, :, None], y[:, None, :], 0.0)
+    light, raised = view.middle(light, 2), view.middle(raised, 2)
+    # At a slant, half of the area between the bars is a side of one of them.
+    rows = terminal.spacing * np.array([[-1.0], [0.0], [1.0]])
+    between, _ = view.at(x, rows, 0.5 * terminal.bar_thickness)
+    seen = _beside_edges(lines, used)
+    limit = dark * float(np.median(light[seen])) if seen.any() else 0.0
+    seen &= (between[:2] < limit) & (between[1:] < limit) & (light > limit)
+    behind = _BEHIND * terminal.bar_thickness
+    if seen.sum() < _LEAST:
+        return Hiding(np.zeros((2, 2), dtype=bool), True, True)
+    known = raised[seen & np.isfinite(raised)]
+    unsure = _BEHIND * terminal.bar_thickness + _CERTAIN * view.noise / np.sqrt(max(1.0, len(known) / _ALIKE))
+    # If noise hides the difference between bars and plate, depth does not show what lies in front of them.
+    apart = abs(float(np.median(known)) - terminal.bar_thickness) if len(known) >= _LEAST else 0.0
+    off = bool(view.noise > terminal.bar_thickness or apart > unsure)
+    empty = ~seen & (light < limit) & ~(raised > behind)
+    ends, longer = _ends(view, terminal, image.intrinsics.fx, y, limit)
+    return Hiding(ends, longer or int(empty.sum()) > _EMPTY, off)
+
+
+def _ends(view: _View, terminal: Terminal, focal: float, y: Array, limit: float) -> tuple[Mask, bool]:
+    """Return which ends (2, 2) of bars with rows at y (2, 3) m are beside the plate, and whether a bar continues."""
+    pose, rows = view.pose, terminal.spacing * np.array([[-1.0], [0.0], [1.0]])
+    pixel, camera = pose.translation[2] / focal, -pose.rotation.T @ pose.translation
+    ends, longer = np.zeros((2, 2), dtype=bool), False
+    for side, sign in enumerate((1.0, -1.0)):
+        end = 0.5 * sign * terminal.bar_length
+        # If the end's own side is visible, the plate begins at its root.
+        root = terminal.bar_thickness if sign * camera[0] > 0.5 * terminal.bar_length else 0.0
+        beyond, before = (
+            view.at(end + sign * pixel * steps[None, :, None], y[:, None, :], depth)
+            for steps, depth in ((_BESIDE, root), (-_WITHIN, 0.0))
+        )
+        height, bright = view.middle(beyond[1].reshape(2, -1), 1), np.any(view.middle(beyond[0], 2) > limit, axis=1)
+        around = view.middle(view.at(end + sign * pixel * _BESIDE, rows, 0.5 * root)[0], 1) < limit
+        longer |= bool(np.any(bright & around[:2] & around[1:]))
+        plate = ~bright & (height < _BEHIND * terminal.bar_thickness + _CERTAIN * view.noise)
+        ends[:, side] = plate & (view.middle(before[0].reshape(2, -1), 1) > limit)
+    return ends, longer
+
+
+def _beside_edges(lines: Lines, used: Mask) -> Mask:
+    """Return (2, SAMPLES), from −x to +x, whether edges of both long sides of each bar were found."""
+    seen = np.zeros((2, 2, SAMPLES), dtype=bool)
+    for index in range(len(lines.bar)):
+        side = int(lines.side[index])
+        if side in _LONG_SIDES:
+            # Corners go around a bar, so its upper side runs from +x to −x.
+            seen[lines.bar[index], _LONG_SIDES.index(side)] |= used[index] if side == 0 else used[index][::-1]
+    return np.asarray(seen.all(axis=1))
+
+
+class _View:
+    """Light and height above the plate of places in a terminal's frame."""
+
+    def __init__(self, grey: NDArray[Any], image: RgbdImage, pose: TerminalPose, plane: Plane) -> None:
+        self._grey, self._image, self.pose, self._plane = grey, image, pose, plane
+        away = float(pose.translation[2])
+        self.noise = plane.scatter * away**2
+        """m, standard deviation of one height; neighbouring places correlate."""
+
+    def at(self, x: Array, y: Array, z: float) -> tuple[Array, Array]:
+        """Return light and height (m, NaN = unknown) at places (m), NaN outside the image."""
+        points = np.stack(np.broadcast_arrays(x, y, np.float64(z)), axis=-1)
+        pixels = np.round(project(self.pose.points(points), self._image.intrinsics)).astype(int)
+        height, width = self._grey.shape
+        inside = np.all((pixels >= 0) & (pixels < [width, height]), axis=-1)
+        column, row = np.moveaxis(np.clip(pixels, 0, [width - 1, height - 1]), -1, 0)
+        light = np.where(inside, self._grey[row, column].astype(float), np.nan)
+        depth = np.where(inside, self._image.depth[row, column].astype(float), np.nan)
+        ray = self.pose.points(points)
+        ray = ray / ray[..., 2:]
+        plate = 1.0 / np.maximum(ray @ self._plane.coefficients, 1e-6)
+        return light, (plate - depth) * float(self.pose.rotation[2, 2])
+
+    @staticmethod
+    def middle(values: Array, axis: int) -> Array:
+        """Return the median of the known values, −inf if none is known."""
+        known = np.isfinite(values)
+        filled = np.where(known, values, np.inf)
+        order = np.sort(filled, axis=axis)
+        index = np.maximum((known.sum(axis=axis) - 1) // 2, 0)
+        found = np.take_along_axis(order, np.expand_dims(index, axis), axis=axis).squeeze(axis)
+        return np.where(np.isfinite(found), found, -np.inf)

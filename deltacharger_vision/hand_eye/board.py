@@ -1,28 +1,257 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Calibration boards of known size: an AprilTag or a ChArUco board, by name."""
+"""A calibration board: its description, and its corners in an image.
+
+Subpixel corners of printed squares: the intersections of their straight edges.
+An edge lies where the light is half-way between both sides, found from the area under a profile across it in linear
+light. In the encoded values of an image (sRGB), the middle of a blurred edge is displaced.
+
+Common parts of calibration boards: visible corners of a board, and OpenCV's markers.
+A board's frame: origin at the centre of the printed pattern, x to the right and y up on the print, z out of the print,
+toward the viewer. Corners lie at z = 0.
+"""
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array, Mask
 from deltacharger_vision.errors import BoardError
-from deltacharger_vision.hand_eye.board_corners import (
-    DICTIONARIES,
-    FAMILIES,
-    FEWEST_CORNERS,
-    Board,
-    Gray,
-    Sighting,
-    dictionary,
-    find_markers,
-    grayscale,
-    marker_cells,
-)
+from deltacharger_vision.images import LIGHT
+
+_PROFILE = 13  # samples across an edge
+_ENDS = 2  # of them at either end, for the levels of both sides
+_WIDEST, _NARROWEST = 4.0, 1.2  # px to either side
+_CONTRAST = 0.25  # of the strongest edge; a weaker sample is no edge
+_FEWEST = 4  # samples of an edge
+_PASSES = 3
+
+
+def refined(gray: NDArray[np.uint8], pixels: Array, offsets: Array, free: float) -> Array:
+    """Return where edges cross, (K, 2) px; NaN if they are invisible or elsewhere.
+
+    Args:
+        gray: (H, W) sRGB.
+        pixels: (K, 2) px, corners within one or two pixels.
+        offsets: (K, 2, M, 2) px, from each corner to samples on its two edges.
+        free: px on either side of the edges without other features.
+    """
+    light = LIGHT.astype(np.float32)[gray]
+    width = float(np.clip(free, _NARROWEST, _WIDEST))
+    found = np.array(pixels, dtype=float)
+    along = offsets[:, :, -1] - offsets[:, :, 0]
+    along = along / np.linalg.norm(along, axis=-1, keepdims=True)
+    across = np.stack([-along[..., 1], along[..., 0]], axis=-1)
+    for _ in range(_PASSES):
+        place, weight = _edges(light, found[:, None, None] + offsets, across, width)
+        # The edge is the line across·(x − found) = level + slope along·(x − found).
+        level, slope = _fitted(np.einsum("kemi,kei->kem", offsets, along), place, weight)
+        normals = across - slope[..., None] * along
+        with np.errstate(invalid="ignore"):
+            step = np.linalg.solve(_invertible(normals), level[..., None])[..., 0]
+        found = found + step
+    return np.asarray(np.where(np.abs(found - pixels).max(axis=1, keepdims=True) <= width, found, np.nan))
+
+
+def _edges(light: NDArray[np.float32], points: Array, across: Array, width: float) -> tuple[Array, Array]:
+    """Return the edge's position (K, 2, M) px along `across` from points (K, 2, M, 2), and the weight of each."""
+    import cv2
+
+    steps = np.linspace(-width, width, _PROFILE)
+    samples = (points[..., None, :] + steps[:, None] * across[:, :, None, None]).astype(np.float32)
+    flat = np.nan_to_num(samples.reshape(len(samples), -1, 2), nan=-1.0)
+    seen = cv2.remap(light, flat[..., 0], flat[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+    profile = np.asarray(seen, dtype=float).reshape(samples.shape[:-1])
+    first, last = profile[..., :_ENDS].mean(axis=-1), profile[..., -_ENDS:].mean(axis=-1)
+    contrast = last - first
+    strong = np.abs(contrast) > _CONTRAST * np.abs(contrast).max()
+    height, width_px = light.shape
+    x, y = samples[..., 0], samples[..., 1]
+    inside = ((x >= 0) & (y >= 0) & (x <= width_px - 1) & (y <= height - 1)).all(axis=-1)
+    share = (profile - first[..., None]) / np.where(strong, contrast, 1.0)[..., None]
+    # The trapezoid's area under the share of the far side.
+    area = (share[..., 1:-1].sum(axis=-1) + 0.5 * (share[..., 0] + share[..., -1])) / (_PROFILE - 1)
+    return width * (1.0 - 2.0 * area), (strong & inside).astype(float)
+
+
+def _fitted(along: Array, place: Array, weight: Array) -> tuple[Array, Array]:
+    """Return level and slope (K, 2) of place = level + slope · along (K, 2, M); NaN with too few samples."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        total = weight.sum(axis=-1)
+        middle, mean = ((weight * values).sum(axis=-1) / total for values in (along, place))
+        centred = along - middle[..., None]
+        slope = (weight * centred * place).sum(axis=-1) / (weight * centred**2).sum(axis=-1)
+    enough = total >= _FEWEST
+    return np.where(enough, mean - slope * middle, np.nan), np.where(enough, slope, np.nan)
+
+
+def _invertible(matrices: Array) -> Array:
+    """Return matrices (K, 2, 2) with NaN for edges that hardly cross."""
+    crossing = np.abs(np.linalg.det(np.nan_to_num(matrices))) > 0.1
+    return np.where(crossing[:, None, None], matrices, np.nan)
+
+
+Gray = NDArray[np.uint8]
+
+FAMILIES = ("16h5", "25h9", "36h10", "36h11")
+"""AprilTag families."""
+DICTIONARIES = tuple(f"{bits}x{bits}_{count}" for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000))
+"""Marker dictionaries of ChArUco boards."""
+FEWEST_CORNERS = 4
+"""Fewest visible corners of a detected board."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """Visible corners of a board in an image.
+
+    Attributes:
+        corners: (K, 3) m in the board's frame, K ≥ 4.
+        pixels: (K, 2) px, their positions in the image; the centre of the first pixel is (0, 0).
+        white: 0 to 255, value reached by the brightest twentieth of the pixels between them.
+    """
+
+    corners: Array
+    pixels: Array
+    white: float = 0.0
+
+
+class Board(ABC):
+    """Common base of both kinds of board."""
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """Name for `parse_board`."""
+
+    @property
+    @abstractmethod
+    def length(self) -> float:
+        """Side of the tag's black square, or of a chessboard square, m."""
+
+    @property
+    @abstractmethod
+    def pattern(self) -> tuple[float, float]:
+        """Width and height of the printed pattern without its white margin, m."""
+
+    @property
+    @abstractmethod
+    def margin(self) -> float:
+        """Width of the white margin around the pattern, m."""
+
+    @abstractmethod
+    def corners(self) -> Array:
+        """Return all detectable corners (K, 3) m."""
+
+    @abstractmethod
+    def cells(self) -> Mask:
+        """Return (rows, columns) of the pattern's equal rectangles, True = black, first row on top."""
+
+    @abstractmethod
+    def _find(self, gray: Gray) -> tuple[Array, Array, float] | None:
+        """Return corners (K, 3) m, their pixels (K, 2) within about a pixel, and the free px around them."""
+
+    @abstractmethod
+    def _edges(self, corners: Array) -> Array:
+        """Return (K, 2, M, 2) m: from each corner to samples on its two edges."""
+
+    def detect(self, image: NDArray[np.uint8]) -> Sighting | None:
+        """Return the visible corners; None if the board is not visible, or visible twice.
+
+        Args:
+            image: (H, W) gray or (H, W, 3) RGB.
+
+        Raises:
+            BoardError: the image has another shape or type.
+        """
+        gray = grayscale(image)
+        found = self._find(gray)
+        if found is None or len(found[0]) < FEWEST_CORNERS:
+            return None
+        corners, pixels, free = found
+        return _refined(gray, corners, pixels, self._edges(corners), free)
+
+
+@cache
+def dictionary(name: str) -> Any:
+    """Return OpenCV's dictionary with a name of `FAMILIES` or `DICTIONARIES`.
+
+    Raises:
+        ModuleNotFoundError: this OpenCV has no markers; states what to install.
+    """
+    import cv2
+
+    if not hasattr(cv2, "aruco"):
+        raise ModuleNotFoundError(
+            f"OpenCV {cv2.__version__} has no markers (cv2.aruco): install OpenCV 4.7 or newer, or its contrib modules "
+            "(apt: python3-opencv, pip: opencv-contrib-python-headless)",
+            name="cv2",
+        )
+    kind = f"APRILTAG_{name}" if name in FAMILIES else name.upper()
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{kind}"))
+
+
+def find_markers(name: str, gray: Gray) -> tuple[Array, NDArray[np.int64]]:
+    """Return the markers of a dictionary: their outer corners (K, 4, 2) px from the upper left on, and numbers (K,)."""
+    import cv2
+
+    known = dictionary(name)
+    markers: Any = cv2.aruco
+    is_new = hasattr(markers, "ArucoDetector")  # since OpenCV 4.7
+    parameters = markers.DetectorParameters() if is_new else markers.DetectorParameters_create()
+    parameters.minMarkerDistanceRate = 0.03  # at 0.05, until 4.8, the outline of its white margin hid a tag
+    if is_new:
+        found = markers.ArucoDetector(known, parameters).detectMarkers(gray)
+    else:
+        found = markers.detectMarkers(gray, known, parameters=parameters)
+    quads, numbers = found[:2]
+    return np.array(quads, dtype=float).reshape(-1, 4, 2), np.array([] if numbers is None else numbers, int).ravel()
+
+
+def marker_cells(name: str, number: int) -> Mask:
+    """Return (n, n) cells of a marker with its border, True = black."""
+    family = dictionary(name)
+    bits = family.getBitsFromByteList(family.bytesList[number : number + 1], family.markerSize)
+    return np.pad(bits == 0, 1, constant_values=True)
+
+
+def grayscale(image: NDArray[np.uint8]) -> Gray:
+    """Return (H, W) gray of an image (H, W) or (H, W, 3) RGB; raises BoardError for any other shape."""
+    import cv2
+
+    if image.dtype != np.uint8 or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)):
+        raise BoardError("image", f"shape {image.shape} of {image.dtype}; give (H, W) gray or (H, W, 3) RGB in uint8")
+    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
+
+
+def _refined(gray: Gray, corners: Array, pixels: Array, offsets: Array, free: float) -> Sighting | None:
+    """Return the corners (K, 3) m with visible edges; `offsets` (K, 2, M, 2) m lead to samples on those edges."""
+    import cv2
+
+    homography, _ = cv2.findHomography(np.ascontiguousarray(corners[:, :2]), np.ascontiguousarray(pixels))
+    if homography is None:
+        return None
+    flat = corners[:, None, None, :2] + offsets
+    mapped, origin = (_mapped(homography, points) for points in (flat, corners[:, None, None, :2]))
+    found = refined(gray, pixels, mapped - origin, free)
+    seen = np.isfinite(found).all(axis=1)
+    if np.count_nonzero(seen) < FEWEST_CORNERS:
+        return None
+    (left, top), (right, bottom) = (found[seen].min(axis=0).astype(int), found[seen].max(axis=0).astype(int) + 1)
+    return Sighting(corners[seen], found[seen], float(np.percentile(gray[top:bottom, left:right], 95.0)))
+
+
+def _mapped(homography: Array, points: Array) -> Array:
+    """Return pixels (..., 2) of points (..., 2) on the board."""
+    found = points @ homography[:, :2].T + homography[:, 2]
+    return np.asarray(found[..., :2] / found[..., 2:])
+
 
 SMALLEST, LARGEST = 0.002, 1.0
 """Side of a tag or a square, m."""

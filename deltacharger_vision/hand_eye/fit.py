@@ -1,6 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The hand-eye fit of all corners of all views at once, each view with its own position error.
+"""The model of a hand-eye calibration, its start and its fit.
 
+The measurement model of a hand-eye calibration: expected positions of the board's corners, and their derivatives.
+With the platform at e (forward kinematics), its constant angle errors δ, and the board's offset o and orientation Q:
+a corner b is at e + J δ + o + Q s b in charger_base, and at X = Rᵀ (e + J δ + Q s b − d) in the camera with
+d = t − o. Only the difference d is observable, because platform and board never turn; o is measured with a ruler. s is
+1, or fitted to check the stated size of the board.
+
+Initial hand-eye solution without a guess: the board's pose in each image, then Procrustes against the platform.
+The platform only translates, so the board has one orientation C in the camera. Two poses fit an image of a plane
+(IPPE); the right one fits all images. With C, the board's position X in the camera follows linearly. X = k Rᵀ (e − d)
+then gives the camera's rotation R, d = t − o (camera minus board offset) and the scale k (Umeyama 1991, reweighted so
+that a wrong view does little harm).
+
+The hand-eye fit of all corners of all views at once, each view with its own position error.
 A corner scatters by σ px. In addition, all corners of a view move together, by τ m in each direction, because the
 arm's position differs from its angles. A view's residuals have the covariance σ² I + τ² G Gᵀ, with G = ∂pixels/∂e. Both
 spreads come from the data: σ from what moving the board cannot explain, τ from what it can (the estimator of Paule and
@@ -9,22 +22,232 @@ Mandel, 1982), each with a weak prior. A robust fit comes first; the final one l
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from deltacharger_core.arrays import Array, Mask
-from deltacharger_vision.hand_eye.model import (
-    ANGLES,
-    FREE,
-    FREE_WITH_SCALE,
-    SCALE,
-    HandEyeState,
-    jacobian,
-    residuals,
-)
+from deltacharger_core.machine import JOINTS
 from deltacharger_vision.hand_eye.views import Beliefs, Corners, HandEyeError
+from deltacharger_vision.terminal import cross_matrix, turn
+
+CAMERA, SHIFT, BOARD, ANGLES, SCALE = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 9 + len(JOINTS)), 9 + len(JOINTS)
+"""Columns of a step: rotation of the camera (rad, about charger_base's axes), d (m), rotation of the board (rad),
+joint errors (rad), and the logarithm of s."""
+FREE, FREE_WITH_SCALE = SCALE, SCALE + 1
+"""Length of a step."""
+_CLOSEST = 1e-3  # m
+
+
+@dataclass(frozen=True, eq=False)
+class HandEyeState:
+    """Parameters to fit.
+
+    Attributes:
+        camera: (3, 3) R, charger_base_R_camera.
+        shift: (3,) d, m.
+        board: (3, 3) Q, end_effector_R_board.
+        joints: (3,) δ, rad.
+        scale: s.
+    """
+
+    camera: Array
+    shift: Array
+    board: Array
+    joints: Array
+    scale: float = 1.0
+
+    def moved(self, step: Array) -> HandEyeState:
+        """Return the state after a step (12,) or (13,)."""
+        return dataclasses.replace(
+            self,
+            camera=turn(step[CAMERA]) @ self.camera,
+            shift=self.shift + step[SHIFT],
+            board=turn(step[BOARD]) @ self.board,
+            joints=self.joints + step[ANGLES],
+            scale=self.scale * (math.exp(step[SCALE]) if len(step) > SCALE else 1.0),
+        )
+
+
+def residuals(corners: Corners, state: HandEyeState) -> Array:
+    """Return (M, 2) px: expected minus measured corners."""
+    camera = _in_base(corners, state) @ state.camera
+    depth = np.maximum(camera[:, 2:], _CLOSEST)
+    return np.asarray(corners.focal * camera[:, :2] / depth - corners.seen)
+
+
+def jacobian(corners: Corners, state: HandEyeState, step: Array) -> tuple[Array, Array]:
+    """Return the derivatives of the residuals at `state.moved(step)`.
+
+    Returns:
+        (M, 2, 12 or 13) px by the step, and (M, 2, 3) px/m by the platform's position.
+    """
+    at = state.moved(step)
+    base = _in_base(corners, at)
+    camera = base @ at.camera
+    depth = np.maximum(camera[:, 2], _CLOSEST)
+    by_camera = np.zeros((len(base), 2, 3))
+    for axis in (0, 1):
+        by_camera[:, axis, axis] = corners.focal[axis] / depth
+        by_camera[:, axis, 2] = -corners.focal[axis] * camera[:, axis] / depth**2
+    by_position = by_camera @ at.camera.T
+    turned = at.scale * corners.points @ at.board.T
+    found = np.zeros((len(base), 2, len(step)))
+    # A rotation by w: dRᵀ y = Rᵀ [y]× dw and d(Q b) = −[Q b]× dq, with dw to the left of the previous step.
+    found[:, :, CAMERA] = by_position @ _skew(base) @ _left(step[CAMERA])
+    found[:, :, SHIFT] = -by_position
+    found[:, :, BOARD] = -by_position @ _skew(turned) @ _left(step[BOARD])
+    found[:, :, ANGLES] = by_position @ corners.slopes[corners.view]
+    if len(step) > SCALE:
+        found[:, :, SCALE] = np.einsum("mij,mj->mi", by_position, turned)
+    return found, by_position
+
+
+def _in_base(corners: Corners, state: HandEyeState) -> Array:
+    """Return (M, 3) m, the corners relative to the camera, along the axes of charger_base."""
+    platform = corners.positions + corners.slopes @ state.joints - state.shift
+    return np.asarray(platform[corners.view] + state.scale * corners.points @ state.board.T)
+
+
+def _skew(vectors: Array) -> Array:
+    """Return (M, 3, 3), [v]× of vectors (M, 3)."""
+    x, y, z = vectors.T
+    zero = np.zeros_like(x)
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
+
+
+def _left(vector: Array) -> Array:
+    """Return the left Jacobian (3, 3) of SO(3) at a rotation vector (rad): turn(v + dv) = turn(J dv) turn(v)."""
+    angle = float(np.linalg.norm(vector))
+    skew = cross_matrix(vector)
+    if angle < 1e-6:
+        return np.asarray(np.eye(3) + 0.5 * skew)
+    first, second = (1.0 - math.cos(angle)) / angle**2, (angle - math.sin(angle)) / angle**3
+    return np.asarray(np.eye(3) + first * skew + second * skew @ skew)
+
+
+_CAP = 3.0  # px; cap of a view's misfit
+_LIKE = np.radians(10.0)  # orientations closer than this are one
+_START_STEPS = 30
+_NEAR = 0.0005  # m; smaller residuals have equal weight
+_DECIDED = 1.5  # least ratio of the other orientation's misfit to the chosen one's
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """An initial solution.
+
+    Attributes:
+        camera: (3, 3) charger_base_R_camera.
+        shift: (3,) m, the camera's position minus the board's offset on the platform.
+        board: (3, 3) end_effector_R_board.
+        scale: factor on the board's size that fits the platform's moves.
+        decided: whether only one orientation of the board fits.
+    """
+
+    camera: Array
+    shift: Array
+    board: Array
+    scale: float
+    decided: bool
+
+
+def start(corners: Corners) -> Start:
+    """Return an initial solution.
+
+    Raises:
+        HandEyeError: no board pose fits the images.
+    """
+    candidates = _candidates(corners)
+    misfit, places = _tried(corners, candidates)
+    first = int(np.argmin(misfit))
+    answers = [_averaged(candidates, candidates[first])]
+    apart = _angles(candidates, candidates[first]) > _LIKE
+    if apart.any():
+        other = int(np.flatnonzero(apart)[np.argmin(misfit[apart])])
+        answers.append(_averaged(candidates, candidates[other]))
+    misfit, places = _tried(corners, np.stack(answers))
+    best = int(np.argmin(misfit))
+    camera, shift, scale = _procrustes(corners.positions, places[best])
+    decided = len(answers) == 1 or float(misfit[1 - best]) > _DECIDED * float(misfit[best])
+    return Start(camera, shift, camera @ answers[best], 1.0 / scale, decided)
+
+
+def _candidates(corners: Corners) -> Array:
+    """Return (P, 3, 3) camera_R_board: both IPPE solutions of each view."""
+    import cv2
+
+    found = []
+    for rows in corners.rows:
+        points, image = corners.points[rows], corners.seen[rows] / corners.focal
+        try:
+            count, turns, _, _ = cv2.solvePnPGeneric(points, image, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
+        except cv2.error:
+            continue
+        matrices = [cv2.Rodrigues(turn)[0] for turn in turns[:count]]
+        found += [matrix for matrix in matrices if np.isfinite(matrix).all()]
+    if not found:
+        raise HandEyeError("no view shows the corners of a board; check the images and the board")
+    return np.stack(found)
+
+
+def _tried(corners: Corners, turns: Array) -> tuple[Array, Array]:
+    """Return the misfit (P,) px² of orientations (P, 3, 3), and the board's positions (P, N, 3) m in the camera."""
+    misfit = np.zeros(len(turns))
+    places = np.zeros((len(turns), corners.views, 3))
+    for view, rows in enumerate(corners.rows):
+        ray = corners.seen[rows] / corners.focal
+        turned = corners.points[rows] @ np.swapaxes(turns, 1, 2)
+        # (turned + place) lies on the ray: x − u z = 0 and y − v z = 0.
+        ones, zeros = np.ones(len(ray)), np.zeros(len(ray))
+        equations = np.concatenate(
+            [np.stack([ones, zeros, -ray[:, 0]], axis=-1), np.stack([zeros, ones, -ray[:, 1]], axis=-1)]
+        )
+        wanted = np.concatenate([ray[:, i] * turned[..., 2] - turned[..., i] for i in (0, 1)], axis=-1)
+        places[:, view] = wanted @ np.linalg.pinv(equations).T
+        depth = np.maximum(places[:, view, 2], 1e-3)
+        error = (places[:, view] @ equations.T - wanted) * (corners.focal.mean() / depth)[:, None]
+        behind = places[:, view, 2] <= 0.0
+        misfit += np.where(behind, _CAP**2, np.minimum((error**2).mean(axis=-1), _CAP**2))
+    return misfit, places
+
+
+def _averaged(candidates: Array, chosen: Array) -> Array:
+    """Return the mean (3, 3) of the candidates near the chosen one."""
+    near = candidates[_angles(candidates, chosen) <= _LIKE]
+    return _nearest_rotation(near.sum(axis=0))
+
+
+def _angles(turns: Array, other: Array) -> Array:
+    """Return the angles (P,) rad between rotations (P, 3, 3) and another (3, 3)."""
+    cosine = (np.einsum("pij,ij->p", turns, other) - 1.0) / 2.0
+    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
+def _nearest_rotation(matrix: Array) -> Array:
+    """Return the rotation nearest to a matrix (3, 3)."""
+    u, _, v = np.linalg.svd(matrix)
+    return np.asarray(u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v)
+
+
+def _procrustes(positions: Array, places: Array) -> tuple[Array, Array, float]:
+    """Return R (3, 3), d (3,) m and k of places (N, 3) = k Rᵀ (positions (N, 3) − d)."""
+    weight = np.ones(len(positions))
+    turn, shift, scale = np.eye(3), np.zeros(3), 1.0
+    for _ in range(_START_STEPS):
+        share = weight[:, None] / weight.sum()
+        middle, centre = (share * positions).sum(axis=0), (share * places).sum(axis=0)
+        moved, seen = positions - middle, places - centre
+        turn = _nearest_rotation((share * moved).T @ seen)
+        along = float(np.sum(share * seen * (moved @ turn)))
+        scale = max(along / float(np.sum(share * moved**2)), 1e-3)
+        shift = middle - turn @ centre / scale
+        error = np.linalg.norm(places / scale - (positions - shift) @ turn, axis=1)
+        weight = 1.0 / np.maximum(error, _NEAR)
+    return turn, shift, scale
+
 
 _ROBUST_STEPS, _STEPS = 12, 12
 _CHANCE = 1e-5  # that a good view contradicts the others so much

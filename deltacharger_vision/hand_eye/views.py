@@ -14,8 +14,7 @@ from deltacharger_core.arrays import Array
 from deltacharger_core.machine import JOINTS
 from deltacharger_vision.errors import VisionError
 from deltacharger_vision.hand_eye.board import Sighting
-from deltacharger_vision.images import Intrinsics
-from deltacharger_vision.projection import rays
+from deltacharger_vision.images import Intrinsics, rays
 
 FEWEST = 5
 """Views needed for a calibration, one of them to test the others."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A calibration board for the simulated camera: thin boxes for a white plate and its black cells."""
+"""A calibration board for the simulated camera, and its print at true size."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array, Mask
 from deltacharger_vision.hand_eye.board import Board
-from deltacharger_vision.poses import transform
 from deltacharger_vision.rendering.scene import Box, Color, RenderedScene, check_pose, shifted
+from deltacharger_vision.terminal import transform
 
 Area = tuple[int, int, int, int]
 """Left, top, right and bottom of a rectangle of cells; right and bottom are exclusive."""
@@ -132,3 +132,36 @@ def _grown(marked: Mask, cell: tuple[int, int], first: int) -> tuple[tuple[int, 
             end += 1
         spans[axis] = (start, end)
     return spans[0], spans[1]
+
+
+_STRIP = 6.0  # mm below the board for its name
+_LETTER = 2.5  # mm
+_LIGHT = 0.5  # reflectance between black and white
+
+
+def board_svg(board: Board) -> str:
+    """Return an SVG drawing of a board: white margin, cutting outline, and name and size below."""
+    plate, *areas = board_boxes(board, np.eye(4))
+    width, height = 1e3 * plate.size[0], 1e3 * plate.size[1]
+    parts = [
+        f'<rect x="0" y="0" width="{width:.4f}" height="{height:.4f}" fill="white" stroke="#bbb" stroke-width="0.1"/>'
+    ]
+    for area in areas:
+        across, down = 1e3 * area.size[0], 1e3 * area.size[1]
+        x, y = width / 2 + 1e3 * area.pose[0, 3] - across / 2, height / 2 - 1e3 * area.pose[1, 3] - down / 2
+        color = "white" if area.color[0] > _LIGHT else "black"
+        parts.append(f'<rect x="{x:.4f}" y="{y:.4f}" width="{across:.4f}" height="{down:.4f}" fill="{color}"/>')
+    across, down = (1e3 * length for length in board.pattern)
+    caption = f"{board.name}, black pattern {across:g} x {down:g} mm"
+    parts.append(
+        f'<text x="1" y="{height + _STRIP - 2:.2f}" font-size="{_LETTER:g}" font-family="sans-serif">{caption}</text>'
+    )
+    total = height + _STRIP
+    return "\n".join(
+        [
+            f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:.4f}mm" height="{total:.4f}mm" '
+            f'viewBox="0 0 {width:.4f} {total:.4f}" shape-rendering="crispEdges">',
+            *parts,
+            "</svg>\n",
+        ]
+    )

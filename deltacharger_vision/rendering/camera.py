@@ -1,18 +1,195 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated RGB-D images of a terminal without graphics hardware: a ray-caster of boxes in numpy."""
+"""Simulated RGB-D images without graphics hardware: a ray-caster of boxes, image defects, stereo depth."""
 
 from __future__ import annotations
 
-import numpy as np
+import math
+from functools import cache
 
-from deltacharger_core.arrays import Array, Array32
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_core.arrays import Array, Array32, Mask
 from deltacharger_vision.images import Intrinsics, RgbdImage
-from deltacharger_vision.rendering.image_defects import blurred, developed, slow_field
-from deltacharger_vision.rendering.materials import brushed
-from deltacharger_vision.rendering.parameters import CameraParameters
-from deltacharger_vision.rendering.ray_caster import Piece, Rays
-from deltacharger_vision.rendering.scene import Box, RenderedScene, check_pose
-from deltacharger_vision.rendering.stereo_depth import measured
+from deltacharger_vision.rendering.ray_caster import Piece, Rays, brushed
+from deltacharger_vision.rendering.scene import Box, CameraParameters, RenderedScene, check_pose
+
+_LEVELS = 4096
+_KNOTS = (6, 9)
+
+
+def developed(
+    light: Array32, exposure: float, shot_noise: float, read_noise: float, random: np.random.Generator
+) -> NDArray[np.uint8]:
+    """Return (H, W, 3) uint8 sRGB of light (3, H, W): exposed, with noise, saturated at 1. Modifies `light`.
+
+    The noise's variance is read_noise² + shot_noise² · light, relative to full scale.
+    """
+    image = np.empty((*light.shape[1:], 3), dtype=np.uint8)
+    encoding, spread = _encoding(), np.empty_like(light[0])
+    # One colour at a time, so that arrays stay in the processor's cache.
+    for channel, plane in enumerate(light):
+        if exposure != 1.0:
+            plane *= np.float32(exposure)
+        if shot_noise or read_noise:
+            np.clip(plane, 0.0, 1.0, out=spread)
+            spread *= np.float32(shot_noise**2)
+            spread += np.float32(read_noise**2)
+            np.sqrt(spread, out=spread)
+            spread *= white(plane.shape, random)
+            plane += spread
+        plane *= np.float32(_LEVELS - 1)
+        plane += np.float32(0.5)
+        np.clip(plane, 0, _LEVELS - 1, out=plane)
+        image[:, :, channel] = encoding[plane.astype(np.uint16)]
+    return image
+
+
+@cache
+def _encoding() -> NDArray[np.uint8]:
+    """sRGB (IEC 61966-2-1) of light 0…1 in `_LEVELS` steps."""
+    light = np.arange(_LEVELS) / (_LEVELS - 1)
+    encoded = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    return np.asarray(np.rint(255 * encoded), dtype=np.uint8)
+
+
+def blurred(light: Array32, defocus: float, motion_x: float, motion_y: float) -> Array32:
+    """Return light (3, H, W) blurred by a Gaussian of `defocus` px and a straight movement (px)."""
+    if not defocus and not motion_x and not motion_y:
+        return light
+    margin = math.ceil(3 * defocus + max(abs(motion_x), abs(motion_y))) + 1
+    wide = np.pad(light, ((0, 0), (margin, margin), (margin, margin)), mode="edge")
+    down = np.fft.fftfreq(wide.shape[1])[:, None]
+    across = np.fft.rfftfreq(wide.shape[2])[None, :]
+    transfer = np.exp(-2 * (np.pi * defocus) ** 2 * (across**2 + down**2)) * np.sinc(
+        motion_x * across + motion_y * down
+    )
+    found = np.fft.irfft2(np.fft.rfft2(wide) * transfer.astype(np.float32), s=wide.shape[1:])
+    return np.maximum(found[:, margin:-margin, margin:-margin], 0.0).astype(np.float32)
+
+
+def white(shape: tuple[int, ...], random: np.random.Generator) -> Array32:
+    """Return independent noise (shape) of mean 0 and variance 1.
+
+    Each value is a sum of four uniform numbers: normal up to 3.4 standard deviations, in less than half the time.
+    """
+    count = math.prod(shape)
+    words = random.integers(0, 2**64, size=count, dtype=np.uint64).view(np.uint16).reshape(4, count)
+    found: Array32 = words[0].astype(np.float32)
+    for part in words[1:]:
+        found += part
+    found -= np.float32(4 * 32767.5)
+    found *= np.float32(1.0 / math.sqrt(4 * (65536**2 - 1) / 12))
+    return np.asarray(found.reshape(shape))
+
+
+def slow_field(shape: tuple[int, int], spread: float, random: np.random.Generator) -> Array32:
+    """Return (H, W) slowly varying factors 1 ± spread."""
+    knots = random.uniform(1.0 - spread, 1.0 + spread, _KNOTS)
+    down, across = (_hats(count, size) for count, size in zip(_KNOTS, shape, strict=True))
+    return np.asarray(down @ knots.astype(np.float32) @ across.T, dtype=np.float32)
+
+
+def _hats(count: int, size: int) -> Array32:
+    """Return (size, count) weights of linear interpolation between `count` knots."""
+    place = np.linspace(0.0, count - 1.0, size)[:, None]
+    return np.maximum(0.0, 1.0 - np.abs(place - np.arange(count))).astype(np.float32)
+
+
+_LOGISTIC = 1.702
+"""1 / (1 + exp(−1.702 x)) is the normal distribution within 0.01."""
+_TOLERANCE = 0.5
+"""Distance in front of a pixel, as disparity, from which something hides it, px."""
+
+
+def measured(
+    inverse: Array32, holes: Array32, focal: float, parameters: CameraParameters, random: np.random.Generator
+) -> Array32:
+    """Return depth (H, W) m, NaN = unknown.
+
+    Args:
+        inverse: (H, W) 1/m, one over the true depth.
+        holes: (H, W) share of holes.
+        focal: px of this image along x.
+        parameters: of the camera.
+        random: draws noise and holes.
+    """
+    p = parameters
+    per_inverse = p.stereo_focal * p.baseline
+    disparity = inverse * np.float32(per_inverse)
+    unknown = disparity > p.disparities
+    if p.occlusion:
+        unknown |= _hidden(inverse, focal * p.baseline)
+    if p.fattening:
+        disparity = _fattened(disparity, p.fattening, p.fattening_step)
+    if p.disparity_noise:
+        disparity += np.float32(p.disparity_noise) * blotches(disparity.shape, p.noise_width, random)
+    if p.disparity_step:
+        disparity *= np.float32(1.0 / p.disparity_step)
+        np.rint(disparity, out=disparity)
+        disparity *= np.float32(p.disparity_step)
+    unknown |= ~((disparity <= p.disparities) & (disparity >= per_inverse / p.farthest))
+    if p.hole_metal or p.hole_glare or p.hole_matte:
+        unknown |= _holes(holes, p.hole_width, random)
+    np.maximum(disparity, np.float32(1e-6), out=disparity)
+    depth = np.float32(per_inverse) / disparity
+    if p.whole_millimetres:
+        depth = np.rint(depth * np.float32(1e3)) * np.float32(1e-3)
+    depth[unknown] = np.nan
+    return depth
+
+
+def blotches(shape: tuple[int, ...], width: int, random: np.random.Generator) -> Array32:
+    """Return normal noise (H, W) of variance 1, correlated over `width` px: white noise averaged over squares."""
+    rows, columns = shape
+    single = white((rows + width - 1, columns + width - 1), random)
+    down = single[:rows].copy()
+    for shift in range(1, width):
+        down += single[shift : shift + rows]
+    found = down[:, :columns].copy()
+    for shift in range(1, width):
+        found += down[:, shift : shift + columns]
+    found *= np.float32(1.0 / width)
+    return found
+
+
+def _hidden(inverse: Array32, per_inverse: float) -> Mask:
+    """Return the pixels that one of the two cameras, half a baseline on either side of this image, cannot see.
+
+    The right camera sees column x at x − d/2. Something further right hides x if it appears left of that place; for the
+    left camera, the reverse. Pixels outside a camera's image are also invisible.
+    """
+    columns = np.arange(inverse.shape[1], dtype=np.float32)
+    half = inverse * np.float32(0.5 * per_inverse)
+    right, left = columns - half, columns + half
+    nearest = np.minimum.accumulate(right[:, ::-1], axis=1)[:, ::-1]
+    farthest = np.maximum.accumulate(left, axis=1)
+    hidden = (right > nearest + np.float32(_TOLERANCE)) | (left < farthest - np.float32(_TOLERANCE))
+    last = inverse.shape[1] - 1
+    return np.asarray(hidden | (right < -_TOLERANCE) | (left > last + _TOLERANCE))
+
+
+def _fattened(disparity: Array32, reach: int, step: float) -> Array32:
+    """Return disparity with near parts spread by `reach` px over parts farther by more than `step` px."""
+    largest = disparity
+    for axis in (0, 1):
+        padded = np.pad(largest, [(reach, reach) if i == axis else (0, 0) for i in (0, 1)], mode="edge")
+        largest = largest.copy()
+        size = disparity.shape[axis]
+        for shift in range(2 * reach + 1):
+            part = padded[shift : shift + size] if axis == 0 else padded[:, shift : shift + size]
+            np.maximum(largest, part, out=largest)
+    return np.where(largest - disparity > np.float32(step), largest, disparity)
+
+
+def _holes(share: Array32, width: int, random: np.random.Generator) -> Mask:
+    """Return blobs of about `width` px that cover the given share (H, W), drawn at half the resolution."""
+    rows, columns = share.shape
+    coarse = blotches(((rows + 1) // 2, (columns + 1) // 2), max(1, width // 2), random)
+    even = 1.0 / (1.0 + np.exp(np.float32(-_LOGISTIC) * coarse))
+    fine = np.repeat(np.repeat(even, 2, axis=0), 2, axis=1)[:rows, :columns]
+    return np.asarray(fine < share)
+
 
 OAK_D = Intrinsics(640, 400, 441.0, 441.0, 319.5, 199.5)
 """Colour image of an OAK-D at 640 × 400 px, without lens distortion."""

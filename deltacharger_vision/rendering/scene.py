@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated camera's scene: a terminal on its plate, a wall, and boxes behind and in front of it."""
+"""The simulated camera's scene: a terminal on its plate, a wall, and boxes; its and the camera's parameters."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -10,9 +11,84 @@ import numpy as np
 
 from deltacharger_core.arrays import Array
 from deltacharger_vision.errors import RenderingError
-from deltacharger_vision.poses import transform
-from deltacharger_vision.rendering.parameters import SceneParameters
-from deltacharger_vision.terminal import Terminal
+from deltacharger_vision.terminal import Terminal, transform
+
+
+@dataclass(frozen=True)
+class CameraParameters:
+    """Effects of sensor, lens and stereo matching, like an OAK-D at 640 × 400 px."""
+
+    exposure: float = 1.0  # ratio, factor on the light; above about 1.5 bare metal saturates
+    shot_noise: float = 0.01  # standard deviation at full scale; below, by its root (assumed)
+    read_noise: float = 0.002  # standard deviation in the dark, of full scale (assumed)
+    edge_width: float = 1.4  # px, ramp of an edge by pixel and lens (assumed)
+    defocus: float = 0.0  # px, standard deviation of a further Gaussian blur
+    motion_x: float = 0.0  # px, movement of the image to the right during exposure
+    motion_y: float = 0.0  # px, movement of the image down during exposure
+    baseline: float = 0.075  # m, between the stereo cameras, with colour in the middle (OAK-D)
+    stereo_focal: float = 441.0  # px, focal length of the stereo cameras (OAK-D at 400P)
+    disparities: float = 190.0  # px, largest disparity, so depth starts at 174 mm (extended)
+    disparity_noise: float = 0.15  # px, standard deviation of the disparity (assumed)
+    noise_width: int = 5  # px, side of the squares with equal noise (assumed)
+    disparity_step: float = 0.125  # px, resolution, 1/8 or 1/32 (OAK-D); 0 = continuous
+    fattening: int = 2  # px, how far near depth spreads over its surroundings (assumed)
+    fattening_step: float = 1.0  # px, least step of disparity that spreads (assumed)
+    hole_metal: float = 0.2  # ratio, share of bare metal without depth (assumed)
+    hole_glare: float = 0.9  # ratio, share of metal in full glare without depth (assumed)
+    hole_matte: float = 0.005  # ratio, share of all else without depth (assumed)
+    hole_width: int = 8  # px, size of a hole (assumed)
+    farthest: float = 10.0  # m, no depth beyond
+    occlusion: bool = True  # no depth where only one of the stereo cameras sees
+    whole_millimetres: bool = True  # depth in steps of 1 mm, as in 16UC1
+
+    @property
+    def nearest(self) -> float:
+        """Smallest depth, m."""
+        return self.stereo_focal * self.baseline / self.disparities
+
+    @staticmethod
+    def ideal() -> CameraParameters:
+        """Return a camera without noise, blur and holes, and with continuous depth from `nearest` on."""
+        return CameraParameters(
+            shot_noise=0.0,
+            read_noise=0.0,
+            edge_width=1.0,
+            disparity_noise=0.0,
+            disparity_step=0.0,
+            fattening=0,
+            hole_metal=0.0,
+            hole_glare=0.0,
+            hole_matte=0.0,
+            occlusion=False,
+            whole_millimetres=False,
+        )
+
+
+@dataclass(frozen=True)
+class SceneParameters:
+    """Plate, materials and light; reflectances and light are linear, 1 = full scale at exposure 1. All assumed."""
+
+    plate_width: float = 0.200  # m, of the dark plate along x
+    plate_height: float = 0.120  # m, of the dark plate along y
+    plate_thickness: float = 0.005  # m, of the dark plate along z
+    plate: float = 0.06  # reflectance of the plate
+    metal: float = 0.65  # reflectance of bare metal without its highlight
+    highlight: float = 0.9  # brightness of the light's reflection in metal
+    lobe_along: float = 0.10  # width of the highlight along the brushing (x), as a slope
+    lobe_across: float = 0.70  # width of the highlight across the brushing
+    streaks: float = 0.06  # relative standard deviation of the brushing's streaks
+    mirrored: float = 0.05  # relative standard deviation of mirrored surroundings along x
+    ambient: float = 0.45  # light from everywhere
+    diffuse: float = 0.60  # light from one direction
+    unevenness: float = 0.10  # relative range of slow changes of the light over the image
+    wall: float = 0.30  # reflectance of the wall behind
+    wall_distance: float = 0.8  # m, of the wall behind the touched faces, parallel to them
+
+    @staticmethod
+    def even() -> SceneParameters:
+        """Return a scene of uniform surfaces: no highlight, streaks, reflections or changes of the light."""
+        return dataclasses.replace(SceneParameters(), highlight=0.0, streaks=0.0, mirrored=0.0, unevenness=0.0)
+
 
 Color = tuple[float, float, float]
 

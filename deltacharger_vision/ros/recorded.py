@@ -14,9 +14,8 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CameraInfo, Image
 
 from deltacharger_core.mcap_file import RecordingError
-from deltacharger_vision.cameras.pairing_by_stamp import StampMatcher
 from deltacharger_vision.cameras.recording import CameraRecording, Recorded
-from deltacharger_vision.images import COLOR, DEPTH, INFO, MILLIMETRE, RgbdImage
+from deltacharger_vision.images import COLOR, DEPTH, INFO, MILLIMETRE, RgbdImage, StampMatcher
 from deltacharger_vision.ros.messages import intrinsics_of, rgbd_of, stamp_ns
 
 TOLERANCE = 15_000_000

@@ -30,16 +30,14 @@ from deltacharger_kinematics.calibration.problem import COUNT, Uncertainty, numb
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_vision.hand_eye.board import AprilTag, Board, Charuco
-from deltacharger_vision.hand_eye.calibrate import Calibration, calibrate
-from deltacharger_vision.hand_eye.checks import doubts
+from deltacharger_vision.hand_eye.calibrate import Calibration, calibrate, doubts
 from deltacharger_vision.hand_eye.views import Beliefs, View
 from deltacharger_vision.mount import Mount
-from deltacharger_vision.poses import turn
 from deltacharger_vision.rendering.board_drawing import bracket, with_board
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
-from deltacharger_vision.rendering.parameters import CameraParameters
-from deltacharger_vision.rendering.scene import shifted
+from deltacharger_vision.rendering.scene import CameraParameters, shifted
 from deltacharger_vision.rendering.scene_drawing import charger_parts, draw_scene
+from deltacharger_vision.terminal import turn
 
 Array = NDArray[np.float64]
 

@@ -15,8 +15,7 @@ import numpy as np
 from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.mount import look_at
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
-from deltacharger_vision.rendering.parameters import CameraParameters, SceneParameters
-from deltacharger_vision.rendering.scene import RenderedScene, shifted
+from deltacharger_vision.rendering.scene import CameraParameters, RenderedScene, SceneParameters, shifted
 from deltacharger_vision.rendering.scene_drawing import charger_parts, draw_scene
 
 DISTORTION = (-0.30, 0.12, 0.001, -0.0005, -0.02)

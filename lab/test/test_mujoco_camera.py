@@ -18,8 +18,7 @@ from deltacharger_lab.mujoco.camera import MujocoCamera, RendererError
 from deltacharger_vision.errors import RenderingError
 from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
-from deltacharger_vision.rendering.parameters import CameraParameters
-from deltacharger_vision.rendering.scene import Box, RenderedScene, shifted
+from deltacharger_vision.rendering.scene import Box, CameraParameters, RenderedScene, shifted
 from deltacharger_vision.rendering.scene_drawing import draw_scene
 from deltacharger_vision.terminal import UPPER, Terminal
 from test.marks import rest

@@ -25,9 +25,9 @@ from deltacharger_lab.reports.vision.conditions import (
 )
 from deltacharger_lab.reports.vision.measure import FIELDS, Photographer, errors
 from deltacharger_lab.reports.vision.report import row, targets
-from deltacharger_vision.detector.detection import Detection
 from deltacharger_vision.detector.detector import ElectrodeDetector
-from deltacharger_vision.projection import project
+from deltacharger_vision.images import project
+from deltacharger_vision.terminal import Detection
 
 NOTHING = [*[math.nan] * 10, 1.0]
 

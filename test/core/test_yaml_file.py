@@ -14,7 +14,7 @@ from deltacharger_core.yaml_file import YamlError, read_yaml, write_yaml
 from deltacharger_kinematics.geometry_file import load_geometry
 from deltacharger_scenes.scene import load_scene
 from deltacharger_tactile.calibration.rig import TactileCalibration
-from deltacharger_vision.cameras.camera_info import load_camera_info
+from deltacharger_vision.cameras.ros_formats import load_camera_info
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.terminal import Terminal
 

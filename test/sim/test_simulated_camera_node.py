@@ -16,7 +16,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros.node_support import StartupError
 from deltacharger_sim.charger.simulated_camera_node import SimulatedCameraNode
-from deltacharger_vision.cameras.ros_images import color_array, depth_array
+from deltacharger_vision.cameras.ros_formats import color_array, depth_array
 from deltacharger_vision.hand_eye.board import AprilTag
 
 from ..chargers import Spin, wait_until

@@ -15,14 +15,13 @@ from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_vision.hand_eye.board import AprilTag, Board, Sighting
 from deltacharger_vision.hand_eye.views import Beliefs, View
-from deltacharger_vision.images import Intrinsics
+from deltacharger_vision.images import Intrinsics, project
 from deltacharger_vision.mount import Mount
-from deltacharger_vision.poses import cross_matrix, turn
-from deltacharger_vision.projection import project
 from deltacharger_vision.rendering.board_drawing import bracket, with_board
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
 from deltacharger_vision.rendering.scene import RenderedScene, shifted
 from deltacharger_vision.rendering.scene_drawing import charger_parts
+from deltacharger_vision.terminal import cross_matrix, turn
 
 ARM = ScalarDelta()
 DOCK = np.array([0.0, 0.0, 0.080])

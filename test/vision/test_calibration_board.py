@@ -11,15 +11,20 @@ import numpy as np
 import pytest
 
 from deltacharger_vision.errors import BoardError, RenderingError
-from deltacharger_vision.hand_eye.board import AprilTag, Board, Charuco, markers_in, parse_board
-from deltacharger_vision.hand_eye.board_corners import dictionary, find_markers
-from deltacharger_vision.hand_eye.board_print import board_svg
-from deltacharger_vision.poses import turn
-from deltacharger_vision.projection import project
-from deltacharger_vision.rendering.board_drawing import board_boxes, with_board
+from deltacharger_vision.hand_eye.board import (
+    AprilTag,
+    Board,
+    Charuco,
+    dictionary,
+    find_markers,
+    markers_in,
+    parse_board,
+)
+from deltacharger_vision.images import project
+from deltacharger_vision.rendering.board_drawing import board_boxes, board_svg, with_board
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
-from deltacharger_vision.rendering.parameters import CameraParameters, SceneParameters
-from deltacharger_vision.rendering.scene import RenderedScene, shifted
+from deltacharger_vision.rendering.scene import CameraParameters, RenderedScene, SceneParameters, shifted
+from deltacharger_vision.terminal import turn
 
 from ..marks import rest
 from .views import DISTORTIONS, view

@@ -23,15 +23,18 @@ from std_msgs.msg import Header
 from deltacharger_records.raw_topics import Topic
 from deltacharger_ros import qos
 from deltacharger_ros.node_support import StartupError
-from deltacharger_vision.cameras.camera_info import from_camera_info
 from deltacharger_vision.cameras.camera_node import CameraNode, RecordingPlayer
-from deltacharger_vision.cameras.keeper import CameraUnavailable
-from deltacharger_vision.cameras.oak_pipeline import OakImage, OakSettings
+from deltacharger_vision.cameras.oak_pipeline import CameraUnavailable, OakImage, OakSettings
 from deltacharger_vision.cameras.recording import CameraRecording
-from deltacharger_vision.cameras.ros_images import color_array, depth_array
+from deltacharger_vision.cameras.ros_formats import color_array, depth_array, from_camera_info
 from deltacharger_vision.images import COLOR, DEPTH, INFO, Intrinsics, RgbdImage
-from deltacharger_vision.ros.messages import camera_info_message, color_message, depth_message, stamp_ns
-from deltacharger_vision.ros.publishers import CameraPublishers
+from deltacharger_vision.ros.messages import (
+    CameraPublishers,
+    camera_info_message,
+    color_message,
+    depth_message,
+    stamp_ns,
+)
 
 from ..chargers import Spin, wait_until
 from ..nodes import options

@@ -14,18 +14,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from deltacharger_vision.detector.annotate import annotated
-from deltacharger_vision.detector.detection import Detection
-from deltacharger_vision.detector.detector import ElectrodeDetector
+from deltacharger_vision.detector.detector import ElectrodeDetector, annotated
 from deltacharger_vision.detector.plane import Plane, Region, fit_plane
 from deltacharger_vision.errors import CameraInfoError
 from deltacharger_vision.images import DEPTH_BIAS, Intrinsics, RgbdImage
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
-from deltacharger_vision.rendering.obstructions import KINDS, draw_obstruction
 from deltacharger_vision.rendering.scene import Box, RenderedScene, shifted
-from deltacharger_vision.rendering.scene_drawing import draw_scene
-from deltacharger_vision.terminal import LOWER, UPPER, Terminal
+from deltacharger_vision.rendering.scene_drawing import KINDS, draw_obstruction, draw_scene
+from deltacharger_vision.terminal import LOWER, UPPER, Detection, Terminal
 
 from ..marks import night, rest
 from .views import DISTORTIONS, cover

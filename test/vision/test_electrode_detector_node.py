@@ -41,10 +41,9 @@ from .camera_driver import TARGET, Driver, picture, stamp
 
 pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
-from deltacharger_vision.detector import electrode_detector_node_io
+from deltacharger_vision.detector import electrode_detector_node
 from deltacharger_vision.detector.detector import ElectrodeDetector
-from deltacharger_vision.detector.electrode_detector_node import ElectrodeDetectorNode
-from deltacharger_vision.detector.electrode_detector_node_io import Shot
+from deltacharger_vision.detector.electrode_detector_node import ElectrodeDetectorNode, Shot
 
 pytestmark = pytest.mark.ros
 
@@ -183,7 +182,7 @@ def test_wrong_parameters_stop_the_start(node: NodeMaker, values: dict[str, Any]
 def test_missing_silent_and_unmatched_topics_are_named(
     node: NodeMaker, seen: RgbdImage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(electrode_detector_node_io, "SILENT", 0.05)
+    monkeypatch.setattr(electrode_detector_node, "SILENT", 0.05)
     made, said, numbered = node(), [], itertools.count()
     camera = made._camera
     monkeypatch.setattr(made._diagnostics, "report", lambda *status: said.append((status[0], status[4])))

@@ -11,15 +11,12 @@ import numpy as np
 import pytest
 
 from deltacharger_vision.hand_eye.board import AprilTag, Board, Charuco, Sighting
-from deltacharger_vision.hand_eye.calibrate import Calibration, calibrate
-from deltacharger_vision.hand_eye.checks import doubts, drift, held_out_rms, notes
-from deltacharger_vision.hand_eye.model import FREE_WITH_SCALE, HandEyeState, jacobian, residuals
-from deltacharger_vision.hand_eye.start import start
+from deltacharger_vision.hand_eye.calibrate import Calibration, calibrate, doubts, drift, held_out_rms, notes
+from deltacharger_vision.hand_eye.fit import FREE_WITH_SCALE, HandEyeState, jacobian, residuals, start
 from deltacharger_vision.hand_eye.views import Beliefs, Corners, HandEyeError, View
-from deltacharger_vision.images import Intrinsics
-from deltacharger_vision.poses import turn
-from deltacharger_vision.projection import project, rays
+from deltacharger_vision.images import Intrinsics, project, rays
 from deltacharger_vision.rendering.camera import OAK_D
+from deltacharger_vision.terminal import turn
 
 from ..marks import night, rest
 from .hand_eye_rig import DOCK, Rig, squared

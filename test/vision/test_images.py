@@ -13,8 +13,7 @@ import pytest
 
 from deltacharger_vision.errors import CameraInfoError, ImageError
 from deltacharger_vision.image_files import images_in, read_color, read_depth, read_rgbd, write_picture
-from deltacharger_vision.images import Intrinsics, RgbdImage
-from deltacharger_vision.projection import distort, undistort
+from deltacharger_vision.images import Intrinsics, RgbdImage, distort, undistort
 
 from .views import DISTORTIONS
 

@@ -15,13 +15,10 @@ from hypothesis import strategies as st
 
 from deltacharger_core.parameters import ParameterError
 from deltacharger_core.rotation import rotation
-from deltacharger_vision.detector.detection import Detection
 from deltacharger_vision.errors import MountError, TerminalError
-from deltacharger_vision.mount import Mount, line_angle, look_at, quaternion
-from deltacharger_vision.placed import Placed, is_front, leaning_normal
-from deltacharger_vision.poses import turn
-from deltacharger_vision.ros.detections import detection_message
-from deltacharger_vision.terminal import LOWER, UPPER, Terminal
+from deltacharger_vision.mount import Mount, Placed, is_front, leaning_normal, line_angle, look_at, quaternion
+from deltacharger_vision.ros.messages import detection_message
+from deltacharger_vision.terminal import LOWER, UPPER, Detection, Terminal, turn
 
 from ..marks import rest
 

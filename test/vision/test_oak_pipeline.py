@@ -13,9 +13,16 @@ import numpy as np
 import pytest
 
 from deltacharger_core.parameters import ParameterError
-from deltacharger_vision.cameras import keeper
-from deltacharger_vision.cameras.keeper import CameraKeeper, CameraUnavailable
-from deltacharger_vision.cameras.oak_pipeline import OakCamera, OakImage, OakSettings, converted, find_device
+from deltacharger_vision.cameras import oak_pipeline
+from deltacharger_vision.cameras.oak_pipeline import (
+    CameraKeeper,
+    CameraUnavailable,
+    OakCamera,
+    OakImage,
+    OakSettings,
+    converted,
+    find_device,
+)
 from deltacharger_vision.errors import CameraInfoError, ImageError
 from deltacharger_vision.images import Intrinsics
 
@@ -203,7 +210,7 @@ class Camera:
 
 def test_a_replugged_camera_is_opened_again(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("_SHORTEST_BACKOFF", "_LOOK"):
-        monkeypatch.setattr(keeper, name, 0.01)
+        monkeypatch.setattr(oak_pipeline, name, 0.01)
     script: list[Camera | str] = ["none found", "none found", Camera("oak 1"), "none found", Camera("oak 2")]
     cameras = [each for each in script if isinstance(each, Camera)]
     changes: list[tuple[str, str]] = []

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deltacharger_vision.cameras.pairing_by_stamp import StampMatcher
+from deltacharger_vision.images import StampMatcher
 
 PERIOD = 33_333_333  # ns, of 30 images a second
 COLOR, DEPTH = "color", "depth"

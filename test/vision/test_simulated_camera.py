@@ -12,14 +12,18 @@ import numpy as np
 import pytest
 
 from deltacharger_vision.errors import RenderingError
-from deltacharger_vision.images import Intrinsics, RgbdImage
+from deltacharger_vision.images import Intrinsics, RgbdImage, undistort
 from deltacharger_vision.mount import look_at
-from deltacharger_vision.projection import undistort
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
-from deltacharger_vision.rendering.obstructions import KINDS, draw_obstruction, hidden_share
-from deltacharger_vision.rendering.parameters import CameraParameters
-from deltacharger_vision.rendering.scene import Box, RenderedScene, shifted
-from deltacharger_vision.rendering.scene_drawing import charger_parts, draw_decoy, draw_scene
+from deltacharger_vision.rendering.scene import Box, CameraParameters, RenderedScene, shifted
+from deltacharger_vision.rendering.scene_drawing import (
+    KINDS,
+    charger_parts,
+    draw_decoy,
+    draw_obstruction,
+    draw_scene,
+    hidden_share,
+)
 from deltacharger_vision.terminal import LOWER, UPPER, Terminal
 
 from .views import DISTORTIONS, EVEN, FACES, VIEWS, cover, edge_errors, linear, view

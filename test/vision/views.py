@@ -7,10 +7,8 @@ import dataclasses
 
 import numpy as np
 
-from deltacharger_vision.images import Intrinsics, RgbdImage
-from deltacharger_vision.projection import distort
-from deltacharger_vision.rendering.parameters import SceneParameters
-from deltacharger_vision.rendering.scene import Box, RenderedScene, shifted
+from deltacharger_vision.images import Intrinsics, RgbdImage, distort
+from deltacharger_vision.rendering.scene import Box, RenderedScene, SceneParameters, shifted
 from deltacharger_vision.terminal import UPPER, Terminal
 
 EVEN = SceneParameters.even()

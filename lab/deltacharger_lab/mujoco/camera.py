@@ -24,10 +24,15 @@ from deltacharger_core.arrays import Array, Array32, Mask
 from deltacharger_vision.errors import VisionError
 from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.rendering.camera import OAK_D, taken
-from deltacharger_vision.rendering.materials import streaks
-from deltacharger_vision.rendering.parameters import CameraParameters, SceneParameters
-from deltacharger_vision.rendering.ray_caster import Rays
-from deltacharger_vision.rendering.scene import Box, RenderedScene, check_pose, shifted
+from deltacharger_vision.rendering.ray_caster import Rays, streaks
+from deltacharger_vision.rendering.scene import (
+    Box,
+    CameraParameters,
+    RenderedScene,
+    SceneParameters,
+    check_pose,
+    shifted,
+)
 
 NEAR, FAR = 0.01, 500.0
 """Distance of the clipping planes, m; nearer parts are cut away."""

@@ -134,7 +134,7 @@ def every_node(context: Context, namespace: str) -> Iterator[list[Node]]:
 
 def _camera(context: Context, namespace: str) -> Any:
     from deltacharger_vision.cameras.camera_node import CameraNode
-    from deltacharger_vision.cameras.keeper import CameraUnavailable
+    from deltacharger_vision.cameras.oak_pipeline import CameraUnavailable
 
     def no_camera(*arguments: Any) -> Any:
         raise CameraUnavailable("only its parameters are read")

@@ -17,15 +17,11 @@ from typing import Any
 import numpy as np
 
 from deltacharger_core.arrays import Array
-from deltacharger_vision.images import Intrinsics
-from deltacharger_vision.poses import turn
-from deltacharger_vision.projection import project
+from deltacharger_vision.images import Intrinsics, project
 from deltacharger_vision.rendering.camera import OAK_D
-from deltacharger_vision.rendering.obstructions import KINDS, draw_obstruction, hidden_share
-from deltacharger_vision.rendering.parameters import CameraParameters
-from deltacharger_vision.rendering.scene import Box, RenderedScene
-from deltacharger_vision.rendering.scene_drawing import draw_scene
-from deltacharger_vision.terminal import Terminal
+from deltacharger_vision.rendering.scene import Box, CameraParameters, RenderedScene
+from deltacharger_vision.rendering.scene_drawing import KINDS, draw_obstruction, draw_scene, hidden_share
+from deltacharger_vision.terminal import Terminal, turn
 
 Random = np.random.Generator
 

@@ -15,15 +15,12 @@ import numpy as np
 from deltacharger_core.arrays import Array
 from deltacharger_lab.mujoco.camera import MujocoCamera
 from deltacharger_lab.reports.vision.conditions import CONDITIONS, MUJOCO, Condition, DrawnView, about, draw_light
-from deltacharger_vision.detector.detection import Detection
 from deltacharger_vision.detector.detector import ElectrodeDetector
 from deltacharger_vision.images import Intrinsics, RgbdImage
-from deltacharger_vision.mount import Mount
-from deltacharger_vision.placed import Placed
-from deltacharger_vision.poses import turn
+from deltacharger_vision.mount import Mount, Placed
 from deltacharger_vision.rendering.camera import SimulatedCamera
-from deltacharger_vision.rendering.parameters import CameraParameters
-from deltacharger_vision.rendering.scene import RenderedScene
+from deltacharger_vision.rendering.scene import CameraParameters, RenderedScene
+from deltacharger_vision.terminal import Detection, turn
 
 WRONG_POSITION, WRONG_ROLL = 0.010, math.radians(5.0)
 """A detection with a larger error, m or rad, is wrong."""
