@@ -1,11 +1,139 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Type aliases of arrays. Docstrings state shapes, units and frames."""
+"""Type aliases of arrays, and arrays in untrusted .npy and .npz files. Docstrings state shapes, units and frames."""
 
 from __future__ import annotations
+
+import math
+import os
+import zipfile
+from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.bounded_file import FileRefused, open_file, parse_json, size_text
+
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
+
+
+_LONGEST_HEADER = 10_000  # characters, as numpy has it
+_MOST_AXES = 8
+_BLOCK = 2**18
+
+
+class ArrayError(ValueError):
+    """The stream holds no array of numbers, booleans or text. Example: a header that claims 10 TB."""
+
+
+def read_array(stream: IO[bytes], size: int) -> NDArray[Any]:
+    """Return the array stored from the current position to the end of a stream.
+
+    Args:
+        stream: byte stream; it may be shorter than it claims.
+        size: bytes left in the stream.
+
+    Raises:
+        ArrayError: this is no .npy file, it holds Python objects, or its header does not match `size`.
+    """
+    try:
+        shape, by_columns, kind, header = _header(stream)
+    except Exception as error:  # numpy parses the header as a Python literal, which may raise anything
+        raise ArrayError(f"it has no valid .npy header ({type(error).__name__})") from error
+    plain = (kind.kind in "biuf" and kind.itemsize <= 8) or (kind.kind == "U" and kind.itemsize)
+    if not plain or len(shape) > _MOST_AXES:
+        held = f"it holds an array of {str(kind)[:80]} with {len(shape)} axes"
+        raise ArrayError(f"{held}; allowed are numbers, booleans or text with at most {_MOST_AXES} axes")
+    needed = math.prod(shape) * kind.itemsize
+    if needed != size - header or max(shape, default=0) > size:
+        raise ArrayError(f"its header claims {needed} bytes, and {size - header} follow")
+    content = np.empty(needed, dtype=np.uint8)
+    for start in range(0, needed, _BLOCK):
+        block = stream.read(min(_BLOCK, needed - start))
+        if not block:
+            raise ArrayError("it ends early")
+        content[start : start + len(block)] = np.frombuffer(block, dtype=np.uint8)
+    if kind.kind == "b" and content.max(initial=0) > 1:
+        raise ArrayError("a boolean in it is neither 0 nor 1")
+    found = content.view(kind)
+    return found.reshape(shape[::-1]).T if by_columns else found.reshape(shape)
+
+
+def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:
+    """Return shape, whether the order is by columns, type, and the header's size in bytes."""
+    start = stream.tell()
+    if np.lib.format.read_magic(stream) != (1, 0):  # newer versions allow longer headers
+        raise ValueError("version")
+    shape, by_columns, kind = np.lib.format.read_array_header_1_0(stream, max_header_size=_LONGEST_HEADER)
+    if min(shape, default=0) < 0:
+        raise ValueError("shape")
+    return shape, by_columns, kind, stream.tell() - start
+
+
+LARGEST_MODEL = 256 * 2**20
+"""Largest size of a model's arrays, bytes."""
+LARGEST_DATASET = 8 * 2**30
+"""Largest size of a data set's arrays, bytes."""
+_SMALL, _DENSEST = 64 * 2**20, 100
+"""Bytes that any file may unpack to, plus this many per packed byte; recorded frames pack to a 15th."""
+
+
+class NpzError(ValueError):
+    """A file is not an npz file of arrays and a description. Example: a zip bomb; the message has no path."""
+
+
+def read_npz(path: str | Path, header: str, largest: int) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Return the JSON description in the array `header`, and all other arrays.
+
+    Args:
+        path: of the file.
+        header: name of the 0-d string array.
+        largest: most bytes of all arrays together.
+
+    Raises:
+        FileNotFoundError: no such file.
+        NpzError: another format, damaged, too large, or contains Python objects.
+    """
+    try:
+        with open_file(path, largest) as file, zipfile.ZipFile(file) as archive:
+            arrays = _arrays(archive, min(largest, _SMALL + _DENSEST * os.fstat(file.fileno()).st_size))
+        if header not in arrays:
+            raise NpzError(f"it has no array {header}")
+        described = parse_json(str(arrays.pop(header)))
+    except FileNotFoundError:
+        raise
+    except FileRefused as error:
+        raise NpzError(str(error.strerror)) from error
+    except NpzError:
+        raise
+    except Exception as error:  # zipfile and numpy may raise anything on damaged files
+        raise NpzError(f"it is not an npz file, or damaged ({type(error).__name__})") from error
+    if not isinstance(described, dict):
+        raise NpzError(f"its {header} is no JSON object")
+    return described, arrays
+
+
+def holds_array(path: str | Path, name: str) -> bool:
+    """Whether a file is an npz file with this array; False also if it is missing or unreadable."""
+    try:
+        with open_file(path, LARGEST_DATASET) as file, zipfile.ZipFile(file) as archive:
+            return f"{name}.npy" in archive.namelist()
+    except Exception:  # as in `read_npz`, which reports the error
+        return False
+
+
+def _arrays(archive: zipfile.ZipFile, largest: int) -> dict[str, NDArray[Any]]:
+    members = archive.infolist()
+    size = sum(member.file_size for member in members)
+    if size > largest:
+        raise NpzError(f"its arrays take {size_text(size)}, more than the {size_text(largest)} allowed")
+    arrays: dict[str, NDArray[Any]] = {}
+    for member in members:
+        name = member.filename.removesuffix(".npy")
+        if name in arrays or name == member.filename:
+            raise NpzError(f"its member {member.filename[:80]!r} is a duplicate or no array")
+        with archive.open(member) as stream:
+            arrays[name] = read_array(stream, member.file_size)  # to the end, where the checksum is verified
+    return arrays

@@ -6,8 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from deltacharger_core.machine import CONTACT_FORCE
-from deltacharger_tactile.estimate import Estimate
-from deltacharger_tactile.estimator import THRESHOLD, PoseEstimator
+from deltacharger_tactile.estimator import THRESHOLD, Estimate, PoseEstimator
 
 __all__ = ["MODELS", "MODEL_PATH", "MODEL_PATHS", "Estimate", "PoseEstimator", "default_model", "model_path"]
 

@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_core.arrays import Array, Mask
+from deltacharger_core.arrays import LARGEST_DATASET, Array, Mask, NpzError, read_npz
 from deltacharger_core.machine import COLUMNS, PADS, ROWS
 from deltacharger_core.units import IN_TOUCH, outside
-from deltacharger_tactile import npz
 from deltacharger_tactile.errors import DatasetError
 
 SUBSET_CONTINUOUS, SUBSET_ANGLE, SUBSET_POSITION = -1, 0, 1
@@ -108,8 +107,8 @@ class Dataset:
         """
         source = str(path)
         try:
-            meta, found = npz.read(path, "meta", npz.LARGEST_DATASET)
-        except npz.NpzError as error:
+            meta, found = read_npz(path, "meta", LARGEST_DATASET)
+        except NpzError as error:
             raise DatasetError(source, f"{error}; generate or record a data set") from error
         missing = [name for name in _NEEDED if name not in found]
         if missing:

@@ -33,10 +33,9 @@ from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import SERVICE
 from deltacharger_ros.tuning import Regularly, Tuning
 from deltacharger_tactile.errors import FrameError
-from deltacharger_tactile.estimate import Estimate
-from deltacharger_tactile.frame_window import Frame, FrameWindow, Refused
+from deltacharger_tactile.estimator import Estimate
 from deltacharger_tactile.parameters import FRAMES_MAX, MisalignmentNodeParameters
-from deltacharger_tactile.perception import Perception, PerceptionError
+from deltacharger_tactile.perception import Frame, FrameWindow, Perception, PerceptionError, Refused
 
 
 def to_frame(message: TactileFrame, sampled: float) -> Frame:

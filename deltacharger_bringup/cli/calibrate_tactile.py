@@ -18,10 +18,9 @@ from deltacharger_bringup.cli.arguments import file_to_read, file_to_write, inte
 from deltacharger_bringup.cli.output import Result, WrongInput, conclude, wrong_input
 from deltacharger_core.bounded_file import sha256
 from deltacharger_tactile import MODEL_PATH
-from deltacharger_tactile.calibration import faults as sensor_faults
 from deltacharger_tactile.calibration import fit as sensor_calibration_fit
-from deltacharger_tactile.calibration.faults import KnownDockings, PadFaults, Tares
-from deltacharger_tactile.calibration.fit import JITTER, MISFIT_LIMIT, PadFit, Worth
+from deltacharger_tactile.calibration import fit as sensor_faults
+from deltacharger_tactile.calibration.fit import JITTER, MISFIT_LIMIT, KnownDockings, PadFaults, PadFit, Tares, Worth
 from deltacharger_tactile.calibration.rig import AXES, SHIFT_LIMIT, SIDES, TactileCalibration
 from deltacharger_tactile.dataset import Dataset
 from deltacharger_tactile.errors import SensorCalibrationError, TactileError

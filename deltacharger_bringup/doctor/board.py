@@ -33,7 +33,7 @@ from deltacharger_driver.board.protocol import (
     weld_problem,
 )
 from deltacharger_driver.errors import NoAnswer, WrongDevice
-from deltacharger_tactile.estimate import Limits
+from deltacharger_tactile.estimator import Limits
 
 WATCHED = 2.0  # s of stream
 _RATE_SHARE = 0.95  # of the board's nominal rate; a lower rate is wrong

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_core.array_file import read_array
+from deltacharger_core.arrays import read_array
 from deltacharger_core.bounded_file import brief, parse_json, read_text
 from deltacharger_core.files import atomic_write, make_folder, remove_unfinished, write_text
 from deltacharger_core.mcap_file import McapFile, Raw, RecordingError

@@ -24,7 +24,7 @@ from deltacharger_core.parameters import did_you_mean
 from deltacharger_core.yaml_file import YamlError, read_yaml, write_yaml
 from deltacharger_tactile.dataset import ANGLE_LIMIT, POSITION_LIMIT
 from deltacharger_tactile.errors import FrameError, SensorCalibrationError
-from deltacharger_tactile.estimate import Estimate, Limits, angle_classes, position_classes, shaped
+from deltacharger_tactile.estimator import Estimate, Limits, angle_classes, position_classes, shaped
 from deltacharger_tactile.parameters import SHAPE
 
 VERSION = 1

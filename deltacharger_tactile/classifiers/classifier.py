@@ -1,20 +1,82 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The interface of all classifiers: load, predict, predict_proba."""
+"""The interface of all classifiers (load, predict, predict_proba), and the packaged nine models of the paper."""
 
 from __future__ import annotations
 
+import functools
+import hashlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+import deltacharger_tactile
 from deltacharger_core.arrays import Array
 from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, PADS, ROWS
-from deltacharger_tactile import features
-from deltacharger_tactile.classifiers import files, labels, pretrained
+from deltacharger_core.texts import cut
+from deltacharger_tactile import PoseEstimator, default_model, features, model_path
+from deltacharger_tactile.classifiers import labels, runtime
+from deltacharger_tactile.classifiers.labels import TARGETS
 from deltacharger_tactile.classifiers.runtime import KINDS
-from deltacharger_tactile.errors import ModelError
+from deltacharger_tactile.errors import ModelError, UnknownModelError
+from deltacharger_tactile.parameters import TactileParameters
+
+POSE = 3
+"""Columns of the estimated pose: mm, mm, degrees."""
+_POSE_UNITS = np.array([1e3, 1e3, 180.0 / np.pi])
+
+
+def inputs(frames: Array, target: str, threshold: float) -> Array:
+    """Return physical features, the estimated pose, and from 1 N on the last hidden layer of the packaged NN.
+
+    Below 1 N that network adds nothing to the estimate: it was trained on the paper's readings.
+
+    Args:
+        frames: (N, 2, 10, 10) N, NaN where dead.
+        target: what to classify.
+        threshold: readings below it count as 0, N.
+
+    Returns:
+        (N, F + 3) or (N, F + 3 + 128); NaN unknown.
+    """
+    estimator = _estimator(threshold)
+    physical, pose = estimator.pose(frames)
+    if estimator.threshold != threshold:
+        physical = features.extract(features.fill_dead(frames), threshold).values
+    known = [physical, pose * _POSE_UNITS]
+    if threshold >= CONTACT_FORCE:
+        taxels = np.where(frames >= threshold, frames, 0.0).reshape(len(frames), -1)
+        known.append(runtime.hidden(_network(target), taxels))
+    return np.concatenate(known, axis=1)
+
+
+@functools.cache
+def digest(target: str, threshold: float) -> str:
+    """Return 16 hexadecimal digits that change with the packaged models that `inputs` asks."""
+    paths = [model_path(threshold)]
+    if threshold >= CONTACT_FORCE:
+        paths.append(_network_path(target))
+    found = hashlib.sha256()
+    for path in paths:
+        found.update(path.read_bytes())
+    return found.hexdigest()[:16]
+
+
+@functools.cache
+def _estimator(threshold: float) -> PoseEstimator:
+    return default_model(threshold)
+
+
+@functools.cache
+def _network(target: str) -> Mapping[str, NDArray[Any]]:
+    return runtime.read(_network_path(target))[1]
+
+
+def _network_path(target: str) -> Path:
+    return FOLDER / f"nn-{target}.npz"
+
 
 Self = TypeVar("Self", bound="Classifier")
 
@@ -68,7 +130,7 @@ class Classifier:
             FileNotFoundError: no such file.
             ModelError: no working classifier, or one trained on packaged models of another version.
         """
-        about, arrays = files.read(path)
+        about, arrays = runtime.read(path)
         try:
             model = cls(about.pop("name"), about.pop("target"), about.pop("threshold"))
             model._restore(about, arrays)
@@ -84,7 +146,7 @@ class Classifier:
     def _restore(self, about: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
         """Take what a file holds."""
         self._kind, self._arrays = about.pop("kind"), arrays
-        if NAMES[self.name] == "pose" and about.pop(PRETRAINED, "") != pretrained.digest(self.target, self.threshold):
+        if NAMES[self.name] == "pose" and about.pop(PRETRAINED, "") != digest(self.target, self.threshold):
             raise ModelError(self.name, "it was trained on packaged models of another version; train it again")
         self.about = about
 
@@ -96,9 +158,48 @@ class Classifier:
             return np.where(readings >= self.threshold, readings, 0.0).reshape(len(readings), -1)  # NaN gives 0
         if sees == "features":
             return features.extract(features.fill_dead(readings), self.threshold).values
-        return pretrained.inputs(readings, self.target, self.threshold)
+        return inputs(readings, self.target, self.threshold)
 
 
 def readings_of(frames: ArrayLike) -> Array:
     """Return frames as (N, 2, 10, 10) N."""
     return np.asarray(frames, dtype=float).reshape(-1, PADS, ROWS, COLUMNS)
+
+
+MODELS = tuple(name for name, sees in NAMES.items() if sees == "taxels")
+"""Their names, in the paper's order."""
+FOLDER = deltacharger_tactile.MODELS
+GENERATOR, ACCURACY = "generator", "accuracy"
+"""Metadata of each file: digest of the generator's parameters; accuracy on rigs that it was not trained on."""
+
+
+def path(name: str, target: str, folder: Path | None = None) -> Path:
+    """Return the file of a model for a target; folder None = in the package."""
+    return (folder or FOLDER) / f"{name}-{target}.npz"
+
+
+def load(name: str) -> Mapping[str, Classifier]:
+    """Return a model's classifiers by target; each file is read once per process.
+
+    Raises:
+        UnknownModelError: no such model.
+        ModelError: one of its files is missing, damaged or from another generator.
+    """
+    if name not in MODELS:
+        raise UnknownModelError(name, MODELS)
+    return {target: _load(name, target, path(name, target)) for target in TARGETS}
+
+
+@functools.cache
+def _load(name: str, target: str, file: Path) -> Classifier:
+    try:
+        model = Classifier.load(file)
+    except FileNotFoundError as error:
+        raise ModelError(str(file), "it is missing from the package; install it again") from error
+    wanted = TactileParameters().digest()
+    if model.about.get(GENERATOR) != wanted:
+        found = cut(str(model.about.get(GENERATOR)), 16)
+        raise ModelError(str(file), f"it was trained on the generator {found} and this version has {wanted}")
+    if (model.name, model.target) != (name, target):
+        raise ModelError(str(file), f"it holds {model.name} for {model.target}")
+    return model

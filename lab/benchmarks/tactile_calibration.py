@@ -17,8 +17,7 @@ import numpy as np
 from deltacharger_sim.pads.generator import measure
 from deltacharger_sim.pads.sensor import Rig
 from deltacharger_tactile import PoseEstimator, default_model
-from deltacharger_tactile.calibration.faults import KnownDockings
-from deltacharger_tactile.calibration.fit import Parts, fit, predict
+from deltacharger_tactile.calibration.fit import KnownDockings, Parts, fit, predict
 from deltacharger_tactile.calibration.rig import AXES, TactileCalibration
 from deltacharger_tactile.dataset import POSITION_CLASSES
 from deltacharger_tactile.parameters import TactileParameters

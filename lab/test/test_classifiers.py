@@ -19,7 +19,7 @@ from deltacharger_lab.training.judgement import evaluate_classifier
 from deltacharger_lab.training.reliability import WINDOW, Familiarity, Reliability
 from deltacharger_sim.pads.generator import generate_continuous, generate_paper, measure
 from deltacharger_sim.pads.sensor import Rig
-from deltacharger_tactile.classifiers import labels, packaged
+from deltacharger_tactile.classifiers import classifier, labels
 from deltacharger_tactile.classifiers.classifier import NAMES, Classifier
 from deltacharger_tactile.classifiers.labels import Examples, examples
 from deltacharger_tactile.dataset import Dataset
@@ -32,7 +32,7 @@ from .small_paper import small_paper
 Frames = NDArray[np.float64]
 NEEDS = {"gbdt": "sklearn", "xgboost": "xgboost", "nn": "torch", "cnn": "torch"}
 SIMPLE, RIG, THRESHOLD = "lda", 311, 0.25
-TREE = TrainableClassifier.load(packaged.path("tree", "angle"))
+TREE = TrainableClassifier.load(classifier.path("tree", "angle"))
 
 
 def marked(name: str) -> Any:
@@ -120,7 +120,7 @@ def test_frames_unlike_training_are_detected_after_calibration(angle: Examples) 
 
 
 def test_what_calibration_learnt_is_in_the_file_and_robots_read_it_without(angle: Examples, tmp_path: Path) -> None:
-    model, path = TrainableClassifier.load(packaged.path("tree", "angle")), tmp_path / "model.npz"
+    model, path = TrainableClassifier.load(classifier.path("tree", "angle")), tmp_path / "model.npz"
     model.calibrate(angle.frames, angle.labels).save(path)
     again, robot = TrainableClassifier.load(path), Classifier.load(path)
     assert model.reliability is not None

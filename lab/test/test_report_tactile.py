@@ -19,8 +19,7 @@ from deltacharger_lab.training.estimator import TrainablePoseEstimator
 from deltacharger_sim.pads.generator import generate_continuous, generate_paper
 from deltacharger_tactile.classifiers.classifier import Classifier
 from deltacharger_tactile.dataset import SUBSET_ANGLE
-from deltacharger_tactile.estimate import Estimate
-from deltacharger_tactile.estimator import to_seat
+from deltacharger_tactile.estimator import Estimate, to_seat
 
 KEYS = ("threshold", "frames", "physics")
 PLAN = tactile_plan.quick_plan(1)

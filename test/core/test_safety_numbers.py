@@ -63,7 +63,7 @@ from deltacharger_kinematics.swing import Swung, surely_swings
 from deltacharger_mission.machine import MissionMachine
 from deltacharger_mission.parameters import MissionParameters
 from deltacharger_mission.places import BaseMount, Place
-from deltacharger_tactile import estimator, frame_window
+from deltacharger_tactile import estimator, perception
 from deltacharger_vision.detector.support import supported
 from deltacharger_vision.errors import VisionError
 from deltacharger_vision.mount import Mount
@@ -96,7 +96,7 @@ def passes(call: Callable[..., Any], *values: Any) -> bool:
     """Return whether none of the product's refusals is raised."""
     try:
         call(*values)
-    except (codes.DockingError, DriverError, VisionError, frame_window.Refused, ParameterError):
+    except (codes.DockingError, DriverError, VisionError, perception.Refused, ParameterError):
         return False
     return True
 
@@ -797,8 +797,8 @@ def test_a_goal_moves_from_the_start_of_its_trajectory() -> None:
 
 
 def averages(age: float = 0.0, tared: bool = True) -> bool:
-    frame = frame_window.Frame(10.0 - age, None, 1, tared, np.zeros((10, 10)), np.zeros((10, 10)))
-    return passes(frame_window.FrameWindow(lambda: 10.0).average, [frame], 0.1)
+    frame = perception.Frame(10.0 - age, None, 1, tared, np.zeros((10, 10)), np.zeros((10, 10)))
+    return passes(perception.FrameWindow(lambda: 10.0).average, [frame], 0.1)
 
 
 FRAMES = range(10, 20)
@@ -952,5 +952,5 @@ def test_the_numbers_of_docking_fit_each_other() -> None:
 
 def test_numbers_that_need_more_than_a_row() -> None:
     assert estimator.PoseEstimator().threshold == 0.25  # N, below which readings are noise
-    assert not passes(frame_window.FrameWindow(lambda: 10.0).fresh, 1, 0.01)  # s; no frame, so no estimate
+    assert not passes(perception.FrameWindow(lambda: 10.0).fresh, 1, 0.01)  # s; no frame, so no estimate
     assert (motion.STOP_TIME, controller.OPENING_TIME) == (0.5, 0.3)  # s until torque goes off

@@ -21,11 +21,11 @@ from typing import Any
 
 import pytest
 
+from deltacharger_core.arrays import LARGEST_MODEL, read_npz
 from deltacharger_core.bounded_file import parse_json, read_text
 from deltacharger_core.mcap_file import McapFile
 from deltacharger_core.yaml_file import read_yaml
 from deltacharger_kinematics.calibration.data import read_measurements
-from deltacharger_tactile import npz
 
 MEGABYTE = 2**20
 SOON, MORE = 2.0, 200  # s; MB
@@ -196,7 +196,7 @@ KINDS: dict[str, tuple[str, Callable[[Path], Any], Callable[[], dict[str, bytes]
     "yaml": ("a.yaml", read_yaml, lambda: YAML),
     "json": ("a.json", named(lambda path: parse_json(read_text(path))), lambda: JSON),
     "csv": ("a.csv", named(read_measurements), lambda: CSV),
-    "npz": ("a.npz", named(lambda path: npz.read(path, "meta", npz.LARGEST_MODEL)), archives),
+    "npz": ("a.npz", named(lambda path: read_npz(path, "meta", LARGEST_MODEL)), archives),
     "npy": ("a.npy", read_depth, lambda: ARRAYS),
     "picture": ("a.png", read_picture, pictures),
     "mcap": ("a.mcap", read_recording, recordings),

@@ -14,7 +14,7 @@ import pytest
 
 from deltacharger_sim.pads.generator import generate_continuous, generate_paper
 from deltacharger_tactile import MODEL_PATH, PoseEstimator
-from deltacharger_tactile.classifiers import labels, packaged, pretrained
+from deltacharger_tactile.classifiers import classifier, labels
 from deltacharger_tactile.classifiers.classifier import Classifier
 from deltacharger_tactile.classifiers.labels import TARGETS, examples
 from deltacharger_tactile.dataset import Dataset
@@ -28,27 +28,27 @@ def data() -> Dataset:
     return generate_paper(rigs=(331, 332), seed=6)
 
 
-@pytest.mark.parametrize("name", [rest("knn") if name == "knn" else name for name in packaged.MODELS])
+@pytest.mark.parametrize("name", [rest("knn") if name == "knn" else name for name in classifier.MODELS])
 def test_each_reaches_its_stated_accuracy_without_a_trainer(
     name: str, data: Dataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for library in ("torch", "sklearn", "xgboost", "scipy"):
         monkeypatch.setitem(sys.modules, library, None)
-    for target, model in packaged.load(name).items():
+    for target, model in classifier.load(name).items():
         rows = examples(data, target)
         rows = rows.part(np.arange(0, len(rows), 3))
         shares = model.predict_proba(rows.frames)
         assert shares.shape == (len(rows), labels.classes(target))
         np.testing.assert_allclose(shares.sum(axis=1), 1.0, atol=1e-6)
         right = float(np.mean(shares.argmax(axis=1) == rows.labels))
-        assert right > model.about[packaged.ACCURACY] - 0.08, "two other rigs than in its test"
+        assert right > model.about[classifier.ACCURACY] - 0.08, "two other rigs than in its test"
 
 
 def test_a_dead_taxel_counts_as_zero(data: Dataset) -> None:
     frames = examples(data, "angle").frames[:20]
     dead, nothing = frames.copy(), frames.copy()
     dead[:, 0, 4, 4], nothing[:, 0, 4, 4] = np.nan, 0.0
-    model = packaged.load("logistic")["angle"]
+    model = classifier.load("logistic")["angle"]
     np.testing.assert_array_equal(model.predict_proba(dead), model.predict_proba(nothing))
 
 
@@ -59,7 +59,7 @@ def test_unknown_kinds_and_targets_are_refused() -> None:
 
 
 def test_all_nine_are_small() -> None:
-    files = [packaged.path(name, target) for name in packaged.MODELS for target in TARGETS]
+    files = [classifier.path(name, target) for name in classifier.MODELS for target in TARGETS]
     assert len(files) == 9 * len(TARGETS)
     assert sum(file.stat().st_size for file in files) < 12e6
 
@@ -67,23 +67,23 @@ def test_all_nine_are_small() -> None:
 @pytest.mark.parametrize("name", ["", "CNN", "../cnn", "/etc/passwd", "pose", "x" * 5_000_000])
 def test_an_unknown_name_is_answered_with_the_known_ones(name: str) -> None:
     with pytest.raises(UnknownModelError, match="xgboost, nn, cnn") as found:
-        packaged.load(name)
+        classifier.load(name)
     assert len(str(found.value)) < 300
 
 
 @pytest.mark.parametrize("harm", ["generator", "another", "missing"])
 def test_an_unusable_file_is_named(harm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    original, file = packaged.path("tree", "angle"), packaged.path("tree", "angle", tmp_path)
+    original, file = classifier.path("tree", "angle"), classifier.path("tree", "angle", tmp_path)
     with np.load(original) as content:
         arrays = dict(content)
     about = json.loads(str(arrays["about"])) | {"generator": "0123456789abcdef"}
     if harm == "generator":
         np.savez(file, **arrays | {"about": np.array(json.dumps(about))})
     elif harm == "another":
-        file.write_bytes(packaged.path("tree", "vertical").read_bytes())
-    monkeypatch.setattr(packaged, "FOLDER", tmp_path)
+        file.write_bytes(classifier.path("tree", "vertical").read_bytes())
+    monkeypatch.setattr(classifier, "FOLDER", tmp_path)
     with pytest.raises(ModelError, match=file.name) as found:
-        packaged.load("tree")
+        classifier.load("tree")
     assert harm != "generator" or "0123456789abcdef" in str(found.value)
 
 
@@ -93,13 +93,13 @@ Arrays = dict[str, Any]
 @cache
 def saved(name: str) -> Arrays:
     """Return the arrays of a classifier's file: a packaged one, or one that gives all classes the same probability."""
-    path = packaged.path(name, "vertical")
+    path = classifier.path(name, "vertical")
     if path.exists():
         with np.load(path) as file:
             return dict(file)
     about = {"format": 1, "name": name, "target": "vertical", "threshold": 1.0, "kind": "linear"}
     if name == "pose":
-        about["pretrained"] = pretrained.digest("vertical", 1.0)
+        about["pretrained"] = classifier.digest("vertical", 1.0)
     width = Classifier(name, "vertical")._inputs(np.ones((1, 2, 10, 10))).shape[1]
     arrays = {"weights": np.zeros((width, 5)), "bias": np.zeros(5), "usual": np.zeros(width)}
     return {"about": np.array(json.dumps(about)), **arrays}

@@ -19,9 +19,8 @@ from deltacharger_sim.pads.generator import generate_continuous
 from deltacharger_sim.pads.source import ContactSource
 from deltacharger_tactile import MODEL_PATH, default_model
 from deltacharger_tactile.calibration.rig import TactileCalibration
-from deltacharger_tactile.classifiers import packaged
-from deltacharger_tactile.frame_window import Frame, FrameWindow, Refused
-from deltacharger_tactile.perception import Perception, PerceptionError
+from deltacharger_tactile.classifiers import classifier
+from deltacharger_tactile.perception import Frame, FrameWindow, Perception, PerceptionError, Refused
 
 TRUTH = (0.001, 0.003, 0.08)
 
@@ -113,7 +112,7 @@ def test_a_packaged_model_answers_and_a_failing_one_is_never_sure() -> None:
     tree = usual.answering("tree")
     assert tree.name == f"{usual.name}+tree" == Perception.load(classifiers=["tree"]).name
     found = tree.predict(*frame)
-    for target, model in packaged.load("tree").items():
+    for target, model in classifier.load("tree").items():
         np.testing.assert_allclose(getattr(found, f"{target}_probability"), model.predict_proba(frame[None])[0])
     for shares in ([[np.nan] * 6], [[0.5] * 6], [[-1.0, 2.0]], []):
         broken: Any = {"angle": SimpleNamespace(predict_proba=lambda frames, shares=shares: shares)}

@@ -16,11 +16,21 @@ from deltacharger_core.yaml_file import write_yaml
 from deltacharger_sim.pads.generator import generate_continuous, measure
 from deltacharger_sim.pads.sensor import Rig
 from deltacharger_tactile import PoseEstimator, default_model
-from deltacharger_tactile.calibration.faults import KnownDockings, compare_tares, find, select
-from deltacharger_tactile.calibration.fit import JITTER, MISFIT_LIMIT, Parts, fit, judge, predict
+from deltacharger_tactile.calibration.fit import (
+    JITTER,
+    MISFIT_LIMIT,
+    KnownDockings,
+    Parts,
+    compare_tares,
+    find,
+    fit,
+    judge,
+    predict,
+    select,
+)
 from deltacharger_tactile.calibration.rig import AXES, SHAPE, TactileCalibration
 from deltacharger_tactile.errors import FrameError, SensorCalibrationError
-from deltacharger_tactile.estimate import Limits
+from deltacharger_tactile.estimator import Limits
 from deltacharger_tactile.parameters import TactileParameters
 
 RIG = 655

@@ -33,7 +33,7 @@ from deltacharger_docking.press import CONTACT_TIMEOUT, check_depth, check_pads,
 from deltacharger_docking.release import take_off
 from deltacharger_docking.standoff import approach
 from deltacharger_docking.touch import ALIGNMENTS_MAX, measure, rolled_too_far
-from deltacharger_tactile.classifiers import packaged
+from deltacharger_tactile.classifiers import classifier
 from deltacharger_tactile.classifiers.labels import centres
 
 
@@ -41,7 +41,7 @@ class PaperClasses:
     """Estimates integer degrees 0–5 and steps of 5 mm, with no uncertainty."""
 
     def __init__(self) -> None:
-        self._networks = packaged.load("cnn")
+        self._networks = classifier.load("cnn")
 
     def predict(self, left: Any, right: Any) -> MisalignmentEstimate:
         """Return the centres of the most probable classes; pads (10, 10) N below 1 N have no contact."""

@@ -15,6 +15,7 @@ import numpy as np
 from deltacharger_bringup.cli.arguments import SEED, between, file_to_read, file_to_write, integer
 from deltacharger_bringup.cli.main import main
 from deltacharger_bringup.cli.output import CommandError, Result, Tenths, WrongInput, log_line, wrong_input
+from deltacharger_core.arrays import holds_array
 from deltacharger_core.machine import CONTACT_FORCE
 from deltacharger_docking.codes import DockingError
 from deltacharger_lab.campaigns.recording import Protocol, record_paper
@@ -24,7 +25,6 @@ from deltacharger_lab.training.judgement import AXES, evaluate_classifier, evalu
 from deltacharger_lab.training.pose import fit_dataset
 from deltacharger_lab.training.splits import by_docking
 from deltacharger_sim.pads.generator import generate_continuous, generate_paper
-from deltacharger_tactile import npz
 from deltacharger_tactile.classifiers.classifier import NAMES
 from deltacharger_tactile.classifiers.labels import examples
 from deltacharger_tactile.dataset import Dataset
@@ -151,7 +151,7 @@ def evaluate(options: argparse.Namespace) -> Result:
     data = _load(options.data)
     file_to_read("--model", options.model)
     with wrong_input(TactileError):
-        if npz.holds(options.model, "meta"):
+        if holds_array(options.model, "meta"):
             estimator = TrainablePoseEstimator.load(options.model)
             name, trained_on = estimator.name, estimator.about.get("data")
             found = evaluate_pose(estimator, data)

@@ -22,7 +22,7 @@ from deltacharger_core.machine import CONTACT_FORCE
 from deltacharger_lab.training import reliability
 from deltacharger_lab.training.reliability import Reliability
 from deltacharger_lab.training.splits import distinct
-from deltacharger_tactile.classifiers import files, labels, pretrained
+from deltacharger_tactile.classifiers import classifier, labels, runtime
 from deltacharger_tactile.classifiers.classifier import NAMES, PRETRAINED, Classifier, readings_of
 from deltacharger_tactile.errors import DatasetError, ModelError
 
@@ -163,7 +163,7 @@ class TrainableClassifier(Classifier):
         whole, known = self._arrays, self.predict(frames)
         for half in (True, False):
             self._stored = {name: _shrunk(name, array, half) for name, array in whole.items()}
-            self._arrays = files.full(self._stored)
+            self._arrays = runtime.full(self._stored)
             if np.array_equal(self.predict(frames), known):
                 return self
         self._stored = self._arrays = whole
@@ -181,7 +181,7 @@ class TrainableClassifier(Classifier):
         if self.reliability is not None:
             about["reliability"] = self.reliability.to_dict()
         if NAMES[self.name] == "pose":
-            about[PRETRAINED] = pretrained.digest(self.target, self.threshold)
+            about[PRETRAINED] = classifier.digest(self.target, self.threshold)
         write(path, about, self._stored or self._arrays)
 
     def _restore(self, about: dict[str, Any], arrays: Arrays) -> None:
@@ -191,8 +191,11 @@ class TrainableClassifier(Classifier):
 
 
 def write(path: str | Path, about: dict[str, Any], arrays: Arrays) -> None:
-    """Write arrays and a description (`kind`, `name`, `target`, …) as npz, for `files.read`."""
-    every: dict[str, Any] = {"about": np.array(json.dumps({"format": files.FORMAT, **about}, sort_keys=True)), **arrays}
+    """Write arrays and a description (`kind`, `name`, `target`, …) as npz, for `runtime.read`."""
+    every: dict[str, Any] = {
+        "about": np.array(json.dumps({"format": runtime.FORMAT, **about}, sort_keys=True)),
+        **arrays,
+    }
     np.savez_compressed(path, **every)
 
 

@@ -23,26 +23,24 @@ from deltacharger_lab.training.splits import distinct
 from deltacharger_tactile import features
 from deltacharger_tactile.errors import ModelError
 from deltacharger_tactile.estimator import (
+    CLIP,
     EXPERTS,
     FORMAT,
-    THRESHOLD,
-    PoseEstimator,
-    pose_stddev,
-    to_pose,
-    to_seat,
-    within,
-)
-from deltacharger_tactile.networks import (
-    CLIP,
     LOG_SPREAD,
     PARTS,
     POSE_SCALE,
     SHOWN,
+    THRESHOLD,
     Expert,
     Network,
+    PoseEstimator,
     Support,
     Weights,
     picture_inputs,
+    pose_stddev,
+    to_pose,
+    to_seat,
+    within,
 )
 
 _BATCH = 512

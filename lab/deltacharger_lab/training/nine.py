@@ -20,7 +20,7 @@ import numpy as np
 
 from deltacharger_lab.training.classifier import TrainableClassifier
 from deltacharger_sim.pads.generator import generate_paper
-from deltacharger_tactile.classifiers import packaged
+from deltacharger_tactile.classifiers import classifier
 from deltacharger_tactile.classifiers.labels import TARGETS, Examples, examples
 from deltacharger_tactile.dataset import Dataset
 from deltacharger_tactile.parameters import TactileParameters
@@ -40,14 +40,14 @@ def make(name: str, target: str, folder: Path) -> tuple[float, float]:
     model.shrink(judged.frames)
     right = float(np.mean(found == judged.labels))
     model.about = {
-        packaged.GENERATOR: TactileParameters().digest(),
-        packaged.ACCURACY: right,
+        classifier.GENERATOR: TactileParameters().digest(),
+        classifier.ACCURACY: right,
         "fit_s": model.fit_time,
         "rigs": list(TRAINING_RIGS),
         "judged_on": list(JUDGING_RIGS),
         "seed": SEED,
     }
-    model.save(packaged.path(name, target, folder))
+    model.save(classifier.path(name, target, folder))
     return right, model.fit_time
 
 
@@ -86,12 +86,12 @@ def make_all(folder: Path, workers: int, progress: Callable[[int, str], None]) -
 def main(arguments: Sequence[str] | None = None) -> int:
     """Train the nine packaged models and write them."""
     parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("--output", type=Path, default=packaged.FOLDER, help="folder")
+    parser.add_argument("--output", type=Path, default=classifier.FOLDER, help="folder")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes, one core each")
     options = parser.parse_args(arguments)
     if not options.output.is_dir():
         parser.error(f"--output {options.output}: there is no such folder; make it")
-    count = len(packaged.MODELS) * len(TARGETS)
+    count = len(classifier.MODELS) * len(TARGETS)
     make_all(options.output, options.workers, lambda done, text: print(f"{done} of {count}  {text}", file=sys.stderr))
     return 0
 

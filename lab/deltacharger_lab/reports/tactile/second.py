@@ -24,8 +24,7 @@ from deltacharger_sim.pads.generator import generate_continuous
 from deltacharger_tactile import default_model
 from deltacharger_tactile.classifiers import labels
 from deltacharger_tactile.dataset import Dataset
-from deltacharger_tactile.estimate import Estimate
-from deltacharger_tactile.estimator import THRESHOLD, to_seat
+from deltacharger_tactile.estimator import THRESHOLD, Estimate, to_seat
 
 Row = dict[str, Any]
 Models = Mapping[tuple[str, str], TrainableClassifier]
