@@ -21,7 +21,7 @@ from deltacharger_core.picklable import Picklable
 from deltacharger_core.yaml_file import YamlError, read_yaml
 from deltacharger_scenes.following import SIMULATED_TARGET, followed
 from deltacharger_scenes.node_table import NODES
-from deltacharger_sim.charger.simulation import Simulation
+from deltacharger_sim.charger.parameters import Simulation
 
 STANDARD_NODES = ("servo_node", "tactile_node", "kinematics_node", "misalignment_node", "docking_node")
 _SUFFIXES = (".yaml", ".yml")

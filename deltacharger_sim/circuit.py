@@ -1,15 +1,125 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Battery, power stage and contactor, between the board's orders and the target's port."""
+"""The electrodes' exact contact, the circuit of battery, power stage and contactor, and kinds of charging ports."""
 
 from __future__ import annotations
 
 import math
+import random
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
 
+from deltacharger_core import environment
 from deltacharger_core.charge_port import LIVE_VOLTAGE
+from deltacharger_core.yaml_file import read_yaml
 from deltacharger_driver.emulators.power import Outputs, PortParameters, StageParameters, StageReading, TargetPort
-from deltacharger_sim.bars import Bars
-from deltacharger_sim.clearance import Overlap
-from deltacharger_sim.parameters import CircuitParameters
+from deltacharger_sim.parameters import CircuitParameters, TerminalParameters
+from deltacharger_sim.touch import Bars
+
+Polygon = list[tuple[float, float]]
+
+
+class Overlap:
+    """Overlap of two terminals; attributes are computed when first used.
+
+    Args:
+        terminal: size of the bars, equal on both sides.
+        x: position of the target in end_effector, m.
+        y: along y, m.
+        angle: of the target, rad.
+    """
+
+    def __init__(self, terminal: TerminalParameters, x: float, y: float, angle: float) -> None:
+        self._terminal, self._cosine, self._sine = terminal, math.cos(angle), math.sin(angle)
+        # From one bar's centre to the wrong bar's; the target's bars are offset along its own turned y.
+        pitch = 0.5 * (terminal.gap + terminal.height)
+        across_x, across_y = self._sine * pitch, -pitch - self._cosine * pitch
+        self._down, self._up = (x + across_x, y + across_y), (x - across_x, y - across_y)
+        # From one bar's centre to its mate's: upper to upper, lower to lower.
+        aside_x, aside_y = -self._sine * pitch, self._cosine * pitch - pitch
+        self._mates = (x + aside_x, y + aside_y), (x - aside_x, y - aside_y)
+
+    @cached_property
+    def area(self) -> float:
+        """Overlap of the matching pairs (upper on upper, lower on lower), m²."""
+        return sum(self._common(mate) for mate in self._mates)
+
+    @property
+    def fraction(self) -> float:
+        """The overlap relative to full overlap."""
+        return self.area / (2.0 * self._terminal.length * self._terminal.height)
+
+    @cached_property
+    def clearance(self) -> float:
+        """Distance (m) of the nearest mismatched pair; negative = depth of overlap."""
+        return min(self._separation(self._down), self._separation(self._up))
+
+    @cached_property
+    def short(self) -> bool:
+        """Whether a bar of one terminal touches both bars of the other."""
+        wrong = (self._down, self._up)
+        return self.clearance < 0.0 < self.area and any(self._common(other) > 0.0 for other in wrong)
+
+    def _common(self, place: tuple[float, float]) -> float:
+        return _common(self._terminal, *place, self._cosine, self._sine)
+
+    def _separation(self, place: tuple[float, float]) -> float:
+        return _separation(self._terminal, *place, self._cosine, self._sine)
+
+
+def _common(terminal: TerminalParameters, x: float, y: float, cosine: float, sine: float) -> float:
+    """Return the common area (m²) of two bars, the second's centre at (x, y) m from the first's, turned.
+
+    The second is clipped at the first's four sides (Sutherland–Hodgman).
+    """
+    if sine == 0.0 and cosine > 0.0:
+        return max(terminal.length - abs(x), 0.0) * max(terminal.height - abs(y), 0.0)
+    half_x, half_y = 0.5 * terminal.length, 0.5 * terminal.height
+    along_x, along_y, across_x, across_y = half_x * cosine, half_x * sine, -half_y * sine, half_y * cosine
+    polygon = [
+        (x - along_x - across_x, y - along_y - across_y),
+        (x + along_x - across_x, y + along_y - across_y),
+        (x + along_x + across_x, y + along_y + across_y),
+        (x - along_x + across_x, y - along_y + across_y),
+    ]
+    for axis, sign, most in ((0, 1.0, half_x), (0, -1.0, half_x), (1, 1.0, half_y), (1, -1.0, half_y)):
+        inside = [most - sign * point[axis] for point in polygon]
+        if min(inside) >= 0.0:
+            continue
+        if max(inside) <= 0.0:
+            return 0.0
+        polygon = _cut(polygon, inside)
+    (before_x, before_y), total = polygon[-1], 0.0
+    for corner_x, corner_y in polygon:
+        total += before_x * corner_y - before_y * corner_x
+        before_x, before_y = corner_x, corner_y
+    return max(0.5 * total, 0.0)
+
+
+def _cut(polygon: Polygon, inside: list[float]) -> Polygon:
+    """Return the part of a convex polygon with non-negative distances (m) to the inside of a line."""
+    kept = []
+    (before_x, before_y), before = polygon[-1], inside[-1]
+    for (corner_x, corner_y), here in zip(polygon, inside, strict=True):
+        if (here >= 0.0) != (before >= 0.0):
+            share = before / (before - here)
+            kept.append((before_x + share * (corner_x - before_x), before_y + share * (corner_y - before_y)))
+        if here >= 0.0:
+            kept.append((corner_x, corner_y))
+        before_x, before_y, before = corner_x, corner_y, here
+    return kept
+
+
+def _separation(terminal: TerminalParameters, x: float, y: float, cosine: float, sine: float) -> float:
+    """Return the largest gap (m) along an edge normal of two bars, the second's centre at (x, y) m, turned; < 0
+    overlap."""
+    half_x, half_y = 0.5 * terminal.length, 0.5 * terminal.height
+    wide = half_x + half_x * abs(cosine) + half_y * abs(sine)
+    high = half_y + half_x * abs(sine) + half_y * abs(cosine)
+    along, across = cosine * x + sine * y, cosine * y - sine * x
+    return max(abs(x) - wide, abs(y) - high, abs(along) - wide, abs(across) - high)
+
 
 _NOMINAL_FORCE = 40.0  # N on one bar; magnets, and push at the middle of the band
 _SHORT_CURRENT = 200.0  # A that a battery drives through shorted electrodes until the stage opens
@@ -198,3 +308,67 @@ class Circuit:
             return math.inf
         spots = max(lies.fraction * pressed, 1e-3) * math.sqrt(force / _NOMINAL_FORCE)
         return 0.5 * (self._parameters.contact_resistance / spots)
+
+
+Values = Mapping[str, Any]
+
+LITHIUM_7S: Values = {"empty_voltage": 19.0, "full_voltage": 29.4, "current": 10.0, "end_current": 0.5}
+FULL, UNTOUCHED, ENDED = "full", "untouched", "ended"
+_FILLING: Values = {"voltage": [22.0, 27.0], "capacity": [150.0, 250.0], "resistance": [0.1, 0.2]}
+
+
+@dataclass(frozen=True)
+class TargetRow:
+    """One kind.
+
+    Attributes:
+        text: what is seen.
+        port, stage, circuit, profile: values that differ from the usual ones; a pair is a range.
+        ends: the endings that are right.
+        codes: names of docking's codes of the endings that are not full.
+    """
+
+    text: str
+    port: Values = field(default_factory=dict)
+    stage: Values = field(default_factory=dict)
+    circuit: Values = field(default_factory=dict)
+    profile: Values = field(default_factory=dict)
+    ends: tuple[str, ...] = (FULL,)
+    codes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class DrawnTarget:
+    """One target drawn from a row: values of `CircuitParameters` and of docking's `TargetProfile` as mappings."""
+
+    port: PortParameters
+    stage: StageParameters
+    circuit: Values
+    profile: Values
+
+    @property
+    def full(self) -> float:
+        """V of the battery itself when the profile calls it full."""
+        return float(self.profile["full_voltage"]) - self.port.diode
+
+
+ROWS = {name: TargetRow(**row) for name, row in read_yaml(environment.config("target_kinds.yaml")[0]).items()}
+
+
+def usual(values: Values) -> dict[str, Any]:
+    """Return a row's values with the middle of each range."""
+    return {name: sum(value) / 2.0 if isinstance(value, list) else value for name, value in values.items()}
+
+
+def draw_target(row: TargetRow, source: random.Random) -> DrawnTarget:
+    """Draw a target from a row."""
+
+    def drawn(values: Values) -> dict[str, Any]:
+        return {name: source.uniform(*value) if isinstance(value, list) else value for name, value in values.items()}
+
+    return DrawnTarget(
+        PortParameters(**drawn({**_FILLING, **row.port})),
+        StageParameters(**drawn(row.stage)),
+        drawn(row.circuit),
+        {**LITHIUM_7S, **row.profile},
+    )

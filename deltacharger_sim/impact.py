@@ -20,8 +20,7 @@ import math
 from typing import NamedTuple
 
 from deltacharger_sim.parameters import WorldParameters
-from deltacharger_sim.tilt import tilts
-from deltacharger_sim.touch import TargetTouch
+from deltacharger_sim.touch import TargetTouch, tilts
 
 _PHASE = 0.4  # rad of the contact's oscillation in a sub-step; the force at a turning point is then within 2 %
 _LONGEST = 0.002  # s of a sub-step, a tenth of the time in which the servos brake the platform

@@ -14,20 +14,206 @@ In free air the step is the midpoint rule, which neither brakes nor drives an ar
 Euler, which takes up a blow. Within a step the kinematics are linear. A step that would move the platform by more than
 5 mm, or that finds no balance, is halved. At rest nothing is computed: if a step moved nothing and its inputs stay, the
 next one moves nothing either.
+
+Inverse kinematics and its gradient from one pass over the limbs, for a step of mechanics.
+With u, v, w the elbow-free coordinates of a limb (see `deltacharger_kinematics.delta`), a its arm, K = u² + v² + w² +
+a² − L² and Q = 4a²(u² + w²) − K², one arc tangent gives the angle, and its gradient is dθ = −2 [(u − a
+cos θ) du + v dv + (w − a sin θ) dw] / (σ√Q). No matrix is inverted, so it stays finite if the rods lie in one
+plane. Near the edge of a limb's reach, where √Q loses its digits, `ScalarDelta` is used.
+
+What gives way around the arm: the cable at the platform, and the two robots on their wheels.
+Both use radial return, as the gears' friction does: a spring whose force is cut back to what its friction holds.
 """
 
 from __future__ import annotations
 
 import math
+from math import atan2, cos, sin, sqrt
 
-from deltacharger_core.machine import NOMINAL_VOLTAGE
-from deltacharger_kinematics.geometry import LIMB_DIRECTIONS, DeltaGeometry, Vector
+from deltacharger_core.machine import GRAVITY_STRENGTH, NOMINAL_VOLTAGE
+from deltacharger_kinematics.geometry import LIMB_COUNT, LIMB_DIRECTIONS, DeltaGeometry, Vector
+from deltacharger_kinematics.modes import KNEE_OUT
+from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_sim.impact import StepForces, make_impact
-from deltacharger_sim.linkage import Linkage, Rows
 from deltacharger_sim.motion import Motion
-from deltacharger_sim.parameters import WorldParameters
-from deltacharger_sim.surroundings import Cable, Stand
+from deltacharger_sim.parameters import CableParameters, StandParameters, WorldParameters
 from deltacharger_sim.touch import TargetTouch
+
+Rows = tuple[Vector, Vector, Vector]
+Turns = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
+
+_PLAIN = 1e-4  # √Q relative to its largest value; below it, an angle from plain doubles is worse than 1e-11 rad
+_STEEPEST = 1e-3  # as above; bounds the gradient, so that a step at the edge of reach stays finite
+
+
+class Linkage:
+    """Inverse kinematics with its gradient, in ``charger_base`` (m, rad)."""
+
+    def __init__(self, geometry: DeltaGeometry) -> None:
+        self._edge = ScalarDelta(geometry)
+        numbers = []
+        for index in range(LIMB_COUNT):
+            limb = geometry.limb(index)
+            numbers.append(
+                (
+                    *(limb.cosine, limb.sine, limb.difference, limb.tangential_offset, limb.motor_height),
+                    *(4.0 * limb.arm**2, limb.arm**2 - limb.rod**2, 2.0 * limb.arm * limb.rod),
+                    *(float(KNEE_OUT[index]), limb.angle_offset, 1.0 / limb.arm),
+                )
+            )
+        self._limbs = tuple(numbers)
+
+    def linearise(self, x: float, y: float, z: float) -> tuple[Vector, Rows, Turns] | None:
+        """Return angles and gradient for a position of the platform (m).
+
+        Returns:
+            The commanded angles (rad), the rows dθ/dp (rad/m), and cosine and sine of each arm's true angle; None if
+            a limb does not reach it.
+        """
+        angles, rows, turns = [], [], []
+        for cosine, sine, difference, tangential, height, four, constant, size, knee, zero, per_arm in self._limbs:
+            u = x * cosine + y * sine - difference
+            v = y * cosine - x * sine - tangential
+            w = z + height
+            reach = u * u + w * w
+            k = reach + v * v + constant
+            q = four * reach - k * k
+            root = sqrt(q) if q > 0.0 else 0.0
+            if not root > _PLAIN * size:
+                return self._at_the_edge(x, y, z)
+            root *= knee
+            sine_part = k * w + root * u
+            cosine_part = k * u - root * w
+            angles.append(atan2(sine_part, cosine_part) - zero)
+            half, scale = 0.5 / reach, -2.0 / root
+            elbow_u, elbow_w = cosine_part * half, sine_part * half
+            gu = scale * (u - elbow_u)
+            gv = scale * v
+            rows.append((gu * cosine - gv * sine, gu * sine + gv * cosine, scale * (w - elbow_w)))
+            turns.append((elbow_u * per_arm, elbow_w * per_arm))
+        return (angles[0], angles[1], angles[2]), (rows[0], rows[1], rows[2]), (turns[0], turns[1], turns[2])
+
+    def _at_the_edge(self, x: float, y: float, z: float) -> tuple[Vector, Rows, Turns] | None:
+        """As `linearise`, near the edge of reach: exact angles and a bounded gradient."""
+        angles = self._edge.inverse(x, y, z)
+        if angles[0] != angles[0]:
+            return None
+        rows, turns = [], []
+        for angle, limb in zip(angles, self._limbs, strict=True):
+            cosine, sine, difference, tangential, height, four, constant, size, knee, zero, _ = limb
+            u = x * cosine + y * sine - difference
+            v = y * cosine - x * sine - tangential
+            w = z + height
+            reach = u * u + w * w
+            if reach == 0.0:
+                return None
+            k = reach + v * v + constant
+            root = knee * max(sqrt(max(four * reach - k * k, 0.0)), _STEEPEST * size)
+            half, scale = 0.5 / reach, -2.0 / root
+            gu, gv = scale * (u - (k * u - root * w) * half), scale * v
+            gz = scale * (w - (k * w + root * u) * half)
+            rows.append((gu * cosine - gv * sine, gu * sine + gv * cosine, gz))
+            turns.append((cos(angle + zero), sin(angle + zero)))
+        return angles, (rows[0], rows[1], rows[2]), (turns[0], turns[1], turns[2])
+
+
+_SETTLES = 0.002  # m of the platform over which a cable's friction builds up (assumed)
+_ROLLING = 0.012  # rolling resistance over weight of rubber wheels on a hard floor: 0.008 to 0.015
+_TYRES = 0.1  # damping ratio of a braked robot on its tyres (assumed)
+_REST = 1e-10  # m in a step, below which rest is tried
+
+
+class Cable:
+    """A cable that pulls the platform back to where it started, and drags.
+
+    Args:
+        parameters: of the cable.
+        start: of the platform, m, charger_base.
+    """
+
+    def __init__(self, parameters: CableParameters, start: Vector) -> None:
+        self._stiffness, self._drag, self._start = parameters.stiffness, parameters.drag, start
+        self._bristle = self._drag / _SETTLES  # N/m
+        self._force: Vector = (0.0, 0.0, 0.0)  # N of its friction
+        self._found = self._force
+
+    def forces(self, position: Vector, dx: float, dy: float, dz: float) -> tuple[Vector, float]:
+        """Return the force (N) on a platform that moves from `position` by (dx, dy, dz) m, and its stiffness (N/m)."""
+        bristle, k = self._bristle, self._stiffness
+        fx, fy, fz = self._force
+        rx, ry, rz = fx - bristle * dx, fy - bristle * dy, fz - bristle * dz
+        size, stiff = math.sqrt(rx * rx + ry * ry + rz * rz), bristle
+        if size > self._drag:
+            share = self._drag / size
+            rx, ry, rz, stiff = share * rx, share * ry, share * rz, share * bristle
+        self._found = rx, ry, rz
+        (x, y, z), (x0, y0, z0) = position, self._start
+        return (rx - k * (x + dx - x0), ry - k * (y + dy - y0), rz - k * (z + dz - z0)), k + stiff
+
+    def keep(self) -> None:
+        """End the step with the last forces."""
+        self._force = self._found
+
+
+class Stand:
+    """How far both robots together yield: their reduced mass on tyres, with play, on brakes that may slip.
+
+    Along z they move and roll; sideways only the tyres yield, at once.
+
+    Attributes:
+        move: displacement of the target in this step along z, m.
+    """
+
+    def __init__(self, parameters: StandParameters) -> None:
+        self._stiffness, self._mass, self._play = parameters.stiffness, parameters.mass, parameters.play
+        self._rolling = _ROLLING * parameters.mass * GRAVITY_STRENGTH
+        self._damping = 2.0 * _TYRES * math.sqrt(parameters.stiffness * parameters.mass)
+        self.set_brakes(parameters.brakes)
+        self._place = self._speed = self._stretch = self._roll = self.move = 0.0
+        self._dt = 1.0
+
+    def set_brakes(self, force: float) -> None:
+        """Let the brakes slip from this force on, N."""
+        self._brakes = force
+        self._farthest = self._play + force / self._stiffness  # m of the body from its braked wheels
+
+    def begin(self, dt: float) -> float:
+        """Begin a step of `dt` s and return its first guess of `move`."""
+        way = self._speed * dt
+        self._dt, self.move = dt, way if not -_REST < way < _REST else 0.0
+        return self.move
+
+    def forces(self, push: float) -> tuple[float, float]:
+        """Return the imbalance (N) at `move` under a push (N) along +z, and its tangent (N/m)."""
+        dt, move, k = self._dt, self.move, self._stiffness
+        rate = self._mass / (dt * dt)
+        stretch, tangent = self._stretch + move, rate
+        beyond = stretch - min(max(stretch, -self._play), self._play)
+        held, rolls = k * beyond, self._roll + k * move
+        if held > self._brakes or held < -self._brakes:
+            held = math.copysign(self._brakes, held)
+        elif beyond:
+            held, tangent = held + self._damping / dt * move, tangent + k + self._damping / dt
+        if rolls > self._rolling or rolls < -self._rolling:
+            rolls = math.copysign(self._rolling, rolls)
+        else:
+            tangent += k
+        return push + rate * (self._speed * dt - move) - held - rolls, tangent
+
+    def keep(self, dt: float) -> bool:
+        """End a step of `dt` s; return whether nothing moved."""
+        still = self._speed == self.move == 0.0
+        self._speed = self.move / dt
+        self._place += self.move
+        self._stretch = min(max(self._stretch + self.move, -self._farthest), self._farthest)
+        self._roll = min(max(self._roll + self._stiffness * self.move, -self._rolling), self._rolling)
+        self.move = 0.0
+        return still
+
+    def shift(self, rub: tuple[float, float]) -> Vector:
+        """Return the target's displacement (m) along x, y and z; `rub` (N) is its friction on the platform."""
+        return -rub[0] / self._stiffness, -rub[1] / self._stiffness, self._place
+
 
 GEAR_BRISTLE = 400.0  # N·m/rad; a gear yields 0.15 mrad before it slips
 END_STOP = 2000.0  # N·m/rad behind a joint limit
@@ -41,7 +227,6 @@ _FARTHEST = 0.005**2  # m², largest move of the platform in a step; a larger on
 _UNSOLVED = 0.01  # N of imbalance above which a step is halved
 _FINEST = 0.001  # s, step that is not halved further
 _ASIDE = 1e-6  # m, lateral move with no effect on the magnets' pull and the overlap
-_REST = 1e-10  # m in a step, below which rest is tried
 _REST_ENOUGH = 1e-6**2  # N² of imbalance that permits rest
 _MIDPOINT, _END = 0.5, 1.0  # share of a step at which its forces hold: midpoint rule, backward Euler
 

@@ -7,12 +7,31 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 
+from deltacharger_core.picklable import Picklable
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
-from deltacharger_sim.bars import Bars
-from deltacharger_sim.errors import TargetFixed
-from deltacharger_sim.pads.pad_source import Lean
+from deltacharger_sim.pads import Lean
 from deltacharger_sim.parameters import WorldParameters
-from deltacharger_sim.tilt import tilts
+from deltacharger_sim.touch import Bars, tilts
+
+
+class SimulationError(Picklable):
+    """Base class of deltacharger_sim's own errors."""
+
+
+class TargetFixed(SimulationError, RuntimeError):
+    """The target of this model cannot move. Example: `World.move_target` of MuJoCo's world.
+
+    Args:
+        model: of the arm's motion.
+    """
+
+    def __init__(self, model: str) -> None:
+        self.model = model
+        super().__init__(
+            f"the target cannot move while {model} moves the arm: use a World of the light model, or place the "
+            "target by the parameters of a new world"
+        )
+
 
 _NONE: Vector = (0.0, 0.0, 0.0)
 _UNTOUCHED = Bars.flat(0.0)

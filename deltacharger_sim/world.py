@@ -1,29 +1,126 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated world: mechanics, contact, tactile arrays and circuit, advanced in fixed steps."""
+"""A simulated world: mechanics, contact, tactile arrays and circuit, advanced in fixed steps or by a clock."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 import random
+import threading
+import time
 import warnings
-from typing import Protocol, TypeVar
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
 from deltacharger_core.arrays import Array
 from deltacharger_core.servo_types import MX_64
+from deltacharger_driver.emulators.power import Outputs, StageReading, TargetPort
 from deltacharger_driver.servos.registers import TICK
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
-from deltacharger_sim.circuit import Circuit
-from deltacharger_sim.clearance import Overlap
-from deltacharger_sim.latency import Latency, delays
+from deltacharger_sim.circuit import Circuit, Overlap
 from deltacharger_sim.mechanics import Mechanics
 from deltacharger_sim.motion import MakeMotion, Motion
-from deltacharger_sim.pads.pad_source import Lean, Pose
-from deltacharger_sim.parameters import WorldParameters
-from deltacharger_sim.proven import UnprovenWarning, doubts
-from deltacharger_sim.record import Record, Snapshot
+from deltacharger_sim.pads import Lean, Pose
+from deltacharger_sim.parameters import ServoParameters, UnprovenWarning, WorldParameters, doubts
+
+
+@dataclass
+class Record:
+    """True events; for tests and reports, never for docking.
+
+    Attributes:
+        energised_shorts: number of shorts of live electrodes.
+        energised_unsafe: s that the electrodes were live with negative clearance.
+        energised: s that the electrodes were live: with closed contactor, or without contactor on the target;
+            current is not needed.
+        parted_live: number of times that live electrodes left the target.
+        unpowered_live: number of times that a servo lost its torque while the electrodes were live.
+        broken_current: largest current interrupted by the contactor, or by the electrodes if there is none, A.
+        contacts: dockings, without bounces.
+        peak_force: largest normal force, including impacts within a step, N.
+        peak_push: largest force on the target along z without the magnets', N: of servos and impacts.
+        lifted_live: number of times that one bar of live electrodes carried nothing while the other pressed.
+        bar_heat: largest heat in one bar's contact, W.
+        energy: into the target at the electrodes, J.
+        port_shorted: s that a bar bridged a live port, whatever the contactor did.
+    """
+
+    energised_shorts: int = 0
+    energised_unsafe: float = 0.0
+    energised: float = 0.0
+    parted_live: int = 0
+    unpowered_live: int = 0
+    broken_current: float = 0.0
+    contacts: int = 0
+    peak_force: float = 0.0
+    peak_push: float = 0.0
+    lifted_live: int = 0
+    bar_heat: float = 0.0
+    energy: float = 0.0
+    port_shorted: float = 0.0
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the values by name."""
+        return dataclasses.asdict(self)
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """The truth at one instant, for tests and reports: m, rad, N, A, charger_base; `misalignment` in end_effector."""
+
+    time: float
+    position: Vector
+    misalignment: Pose | None
+    contact_force: float
+    push: float
+    charge_current: float
+    contactor_closed: bool
+    clearance: float
+
+
+Command = tuple[int, bool, float, float, float, float]
+State = tuple[float, float, float, float, float]
+
+_ROUNDING = 1e-9  # s; sums of steps differ from their product by less
+
+
+def delays(servo: ServoParameters) -> bool:
+    """Return whether there is any delay; if not, this module is not used."""
+    return servo.command_latency > 0.0 or servo.reading_latency > 0.0
+
+
+class Latency:
+    """Commands and readings in transit, in whole steps of the world: a delay ends with the step that reaches it."""
+
+    def __init__(self, servo: ServoParameters) -> None:
+        self._servo = servo
+        self._commands: deque[tuple[float, Command]] = deque()
+        self._states: deque[tuple[float, list[State]]] = deque()
+
+    def command(self, now: float, command: Command) -> None:
+        """Send a command at `now` s."""
+        self._commands.append((now + self._servo.command_latency, command))
+
+    def due(self, now: float) -> Iterator[Command]:
+        """Yield the arrived commands in order."""
+        while self._commands and self._commands[0][0] <= now + _ROUNDING:
+            yield self._commands.popleft()[1]
+
+    def keep(self, now: float, states: list[State]) -> None:
+        """Store the servos' state at `now` s while it may still be read."""
+        latest = now - self._servo.reading_latency + _ROUNDING
+        self._states.append((now, states))
+        while len(self._states) > 1 and self._states[1][0] <= latest:
+            self._states.popleft()
+
+    def state(self, index: int) -> State | None:
+        """Return the reading of servo `index`: its newest state that is old enough; None before the first step."""
+        return self._states[0][1][index] if self._states else None
+
 
 _APART = 0.001  # m of gap that ends a docking; a smaller one is a bounce
 _NOTHING = 1e-9  # s
@@ -337,3 +434,82 @@ def _with(three: tuple[T, T, T], index: int, value: T) -> tuple[T, T, T]:
     changed = list(three)
     changed[index] = value
     return changed[0], changed[1], changed[2]
+
+
+_CATCH_UP = 0.5  # s; a longer pause of the process is skipped, not computed
+
+
+class SharedWorld:
+    """Advances a world to `clock` at each access; computes nothing in between.
+
+    It is the plant of the servo and board emulators, which use only these methods.
+
+    Args:
+        world: advanced in steps of its parameter `step`.
+        clock: s, monotonic.
+    """
+
+    def __init__(self, world: World, clock: Callable[[], float] = time.monotonic) -> None:
+        self.world = world
+        self._clock = clock
+        self._lock = threading.RLock()
+        self._at = clock()
+
+    def _advance(self) -> World:
+        now = self._clock()
+        step = self.world.parameters.step
+        self._at = max(self._at, now - _CATCH_UP)
+        while self._at + step <= now:
+            self.world.step(step)
+            self._at += step
+        return self.world
+
+    def command_servo(
+        self,
+        index: int,
+        torque_enabled: bool,
+        reference: float,
+        current_limit: float,
+        gain: float = 1.0,
+        braking: float = 1.0,
+    ) -> None:
+        """Set torque, goal angle (rad), current bound (A) and gains of a servo, as shares of its parameters."""
+        with self._lock:
+            self._advance().command(index, torque_enabled, reference, current_limit, gain, braking)
+
+    def read_servo(self, index: int) -> tuple[float, float, float, float, float]:
+        """Return angle (rad), rate (rad/s), current (A), voltage (V) and temperature (°C) of a servo."""
+        with self._lock:
+            return self._advance().servo(index)
+
+    def read_taxels(self) -> tuple[Array, Array]:
+        """Return left and right (10, 10) N, raw; NaN = dead."""
+        with self._lock:
+            return self._advance().taxels()
+
+    def read_power(self) -> StageReading:
+        """Return what the board measures in the power stage."""
+        with self._lock:
+            return self._advance().circuit.read_power()
+
+    def drive(self, outputs: Outputs) -> None:
+        """Take the board's orders to the power stage."""
+        with self._lock:
+            self._advance().circuit.drive(outputs)
+
+    def change_target(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Let the target's port behave by these `PortParameters`, at its present voltage unless that is among them.
+
+        Returns:
+            What they were.
+        """
+        with self._lock:
+            circuit = self._advance().circuit
+            before = circuit.port
+            circuit.port = TargetPort(replace(before.parameters, **{"voltage": before.voltage, **values}))
+            return {name: getattr(before.parameters, name) for name in values if name != "voltage"}
+
+    def probe(self) -> tuple[float, float]:
+        """Return the probe's measurement: Ω (inf = no current flows, NaN = a live port) and V."""
+        with self._lock:
+            return self._advance().circuit.probe()

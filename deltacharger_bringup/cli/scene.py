@@ -15,7 +15,7 @@ from deltacharger_scenes.following import contradictions, servos_apart
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.parameter_check import problems
 from deltacharger_scenes.scene import Scene, SceneError, load_scene, packaged_scenes
-from deltacharger_sim.proven import doubts
+from deltacharger_sim.parameters import doubts
 
 
 def add_scene(parser: argparse.ArgumentParser) -> None:

@@ -26,8 +26,7 @@ from deltacharger_core import environment, real_time, runtime, signals
 from deltacharger_core.parameters import ParameterError
 from deltacharger_ros.outcomes import json_ready
 from deltacharger_sim.charger.fault_channel import SOCKET, ask
-from deltacharger_sim.charger.fault_kinds import KINDS, Kind
-from deltacharger_sim.charger.faults import Fault
+from deltacharger_sim.charger.faults import KINDS, Fault, Kind
 from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 
 _QUIET = 0.6  # s without a byte from any host; then no node is left that could switch off torque or contactor

@@ -2,7 +2,7 @@
 """The emulated board's power stage with every interlock, and the target at the other end of the electrodes.
 
 Sequence, limits and latched faults are those of the firmware (dc_stage.c); docs/board-link.md has the source of each
-number. Real ports behave like `TargetPort`; docs/targets.md and deltacharger_sim.target_rows have the sources.
+number. Real ports behave like `TargetPort`; docs/targets.md and deltacharger_sim.circuit have the sources.
 """
 
 from __future__ import annotations

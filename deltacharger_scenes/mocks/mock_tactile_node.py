@@ -50,8 +50,7 @@ from deltacharger_ros.qos import SERVICE
 from deltacharger_scenes.mocks.fault_switch import FaultSwitch
 from deltacharger_scenes.mocks.parameters import POWER_FAULTS, TACTILE_FAULTS, MockTactileNodeParameters
 from deltacharger_scenes.mocks.power import BATTERY, TARGET, MockPower
-from deltacharger_sim.pads.generator import contact_force
-from deltacharger_sim.pads.source import ContactSource
+from deltacharger_sim.pads import ContactSource, contact_force
 from deltacharger_tactile.parameters import TactileParameters
 
 _TARE_FRAMES = 20

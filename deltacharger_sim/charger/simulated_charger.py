@@ -24,8 +24,8 @@ from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.ports import ByteDevice, PseudoTerminal
 from deltacharger_sim.charger.fault_channel import SOCKET, ControlServer, Registration, answer
 from deltacharger_sim.charger.faults import Faults, Hardware
-from deltacharger_sim.charger.simulation import Simulation
-from deltacharger_sim.shared_world import SharedWorld
+from deltacharger_sim.charger.parameters import Simulation
+from deltacharger_sim.world import SharedWorld
 
 _log = logging.getLogger(__name__)
 _SERVO, _BOARD = "servo", "board"  # names of the ports

@@ -10,8 +10,8 @@ from typing import Any
 
 from deltacharger_docking.observation import DockGoal, DockingOutcome, ElectrodePose
 from deltacharger_docking.parameters import TargetProfile
+from deltacharger_sim.circuit import ENDED, FULL, LITHIUM_7S, ROWS, UNTOUCHED, DrawnTarget, TargetRow, draw_target
 from deltacharger_sim.parameters import WorldParameters
-from deltacharger_sim.target_rows import ENDED, FULL, LITHIUM_7S, ROWS, UNTOUCHED, DrawnTarget, TargetRow, draw_target
 from deltacharger_sim.virtual.virtual_charger import VirtualCharger
 
 LIMIT = 2400.0  # simulated s until charging must have ended

@@ -55,10 +55,9 @@ from deltacharger_driver.servos.registers import BusSettings
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.trajectory_feed import Waypoint
 from deltacharger_sim.mechanics import Mechanics
-from deltacharger_sim.pads.source import ContactSource
+from deltacharger_sim.pads import ContactSource
 from deltacharger_sim.parameters import WorldParameters
-from deltacharger_sim.shared_world import SharedWorld
-from deltacharger_sim.world import TactileSource, World
+from deltacharger_sim.world import SharedWorld, TactileSource, World
 from deltacharger_tactile import PoseEstimator, default_model
 
 TICK = 0.01

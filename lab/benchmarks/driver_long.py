@@ -52,7 +52,7 @@ def emulate(folder: Path) -> None:
     from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
     from deltacharger_driver.ports import PseudoTerminal
     from deltacharger_scenes.scene import load_scene
-    from deltacharger_sim.shared_world import SharedWorld
+    from deltacharger_sim.world import SharedWorld
 
     processes.take_priority()
     scene = load_scene("simulated")

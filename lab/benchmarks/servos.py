@@ -20,8 +20,7 @@ from deltacharger_core.machine import SERVO_STIFFNESS, TORQUE_CONSTANT
 from deltacharger_kinematics.calibration.servo_arm import WEIGHT_TOLERANCE, ServoTask
 from deltacharger_kinematics.calibration.servo_procedure import measure_servos
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
-from deltacharger_sim.parameters import ServoParameters, TargetParameters, WorldParameters
-from deltacharger_sim.proven import UnprovenWarning
+from deltacharger_sim.parameters import ServoParameters, TargetParameters, UnprovenWarning, WorldParameters
 from deltacharger_sim.virtual_arm import VirtualArm
 
 SEED = 20  # the procedure was chosen on seed 5

@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from deltacharger_sim.pads.generator import generate_continuous, measure
-from deltacharger_sim.pads.sensor import Rig
+from deltacharger_sim.pads import Rig, generate_continuous, measure
 from deltacharger_tactile import Estimate, PoseEstimator, default_model
 from deltacharger_tactile.contact import ContactModel
 from deltacharger_tactile.parameters import PadDockingParameters, SensorParameters, TactileParameters

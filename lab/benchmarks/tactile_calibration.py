@@ -14,8 +14,7 @@ import time
 
 import numpy as np
 
-from deltacharger_sim.pads.generator import measure
-from deltacharger_sim.pads.sensor import Rig
+from deltacharger_sim.pads import Rig, measure
 from deltacharger_tactile import PoseEstimator, default_model
 from deltacharger_tactile.calibration.fit import KnownDockings, Parts, fit, predict
 from deltacharger_tactile.calibration.rig import AXES, TactileCalibration

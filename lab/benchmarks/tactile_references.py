@@ -13,8 +13,7 @@ import numpy as np
 
 from deltacharger_lab.training.classifier import TrainableClassifier
 from deltacharger_lab.training.splits import by_docking
-from deltacharger_sim.pads.generator import generate_paper, measure
-from deltacharger_sim.pads.sensor import Rig
+from deltacharger_sim.pads import Rig, generate_paper, measure
 from deltacharger_tactile.classifiers.labels import Examples, examples
 from deltacharger_tactile.estimator import THRESHOLD
 from deltacharger_tactile.parameters import TactileParameters

@@ -21,7 +21,7 @@ import numpy as np
 import deltacharger_tactile
 from deltacharger_lab.training.classifier import TrainableClassifier
 from deltacharger_lab.training.splits import thirds
-from deltacharger_sim.pads.generator import generate_paper
+from deltacharger_sim.pads import generate_paper
 from deltacharger_tactile.classifiers.labels import examples
 from deltacharger_tactile.parameters import TactileParameters
 

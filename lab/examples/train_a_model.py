@@ -20,7 +20,7 @@ import numpy as np
 from deltacharger_lab.training.classifier import TrainableClassifier
 from deltacharger_lab.training.judgement import evaluate_classifier
 from deltacharger_lab.training.splits import by_docking
-from deltacharger_sim.pads.generator import generate_paper
+from deltacharger_sim.pads import generate_paper
 from deltacharger_tactile.classifiers.labels import examples
 
 if find_spec("sklearn") is None:

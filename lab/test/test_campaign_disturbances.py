@@ -22,7 +22,7 @@ from deltacharger_lab.campaigns.draw import Drawn, draw
 from deltacharger_lab.campaigns.parts import assumed_geometry, build_parts
 from deltacharger_lab.campaigns.scene import load_campaign_scene
 from deltacharger_lab.second.parameters import SecondParameters
-from deltacharger_sim.pads.source import ContactSource
+from deltacharger_sim.pads import ContactSource
 from deltacharger_tactile import MODEL_PATHS
 from test.marks import rest
 

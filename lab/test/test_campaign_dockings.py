@@ -16,8 +16,8 @@ from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_lab.campaigns.docking import dock_once
 from deltacharger_lab.campaigns.scene import load_campaign_scene, parse_campaign_scene
-from deltacharger_sim.pads.source import ContactSource
-from deltacharger_sim.virtual.quick_motion import OnePieceFeed, QuickPlanner
+from deltacharger_sim.pads import ContactSource
+from deltacharger_sim.virtual.quick_charger import OnePieceFeed, QuickPlanner
 from test.marks import rest
 
 from .campaigns import QUICK

@@ -25,7 +25,7 @@ from deltacharger_lab.campaigns.scene import (
     parse_campaign_scene,
 )
 from deltacharger_scenes.scene import SceneError
-from deltacharger_sim.clearance import Overlap
+from deltacharger_sim.circuit import Overlap
 from deltacharger_sim.parameters import ServoParameters, WorldParameters
 from deltacharger_tactile.parameters import TactileParameters
 from test.marks import night

@@ -17,8 +17,7 @@ from deltacharger_lab.training import reliability, splits
 from deltacharger_lab.training.classifier import DEFAULT, TrainableClassifier
 from deltacharger_lab.training.judgement import evaluate_classifier
 from deltacharger_lab.training.reliability import WINDOW, Familiarity, Reliability
-from deltacharger_sim.pads.generator import generate_continuous, generate_paper, measure
-from deltacharger_sim.pads.sensor import Rig
+from deltacharger_sim.pads import Rig, generate_continuous, generate_paper, measure
 from deltacharger_tactile.classifiers import classifier, labels
 from deltacharger_tactile.classifiers.classifier import NAMES, Classifier
 from deltacharger_tactile.classifiers.labels import Examples, examples

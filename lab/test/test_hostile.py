@@ -21,7 +21,7 @@ from deltacharger_lab.campaigns.faults import Acting, HostileFault
 from deltacharger_lab.campaigns.hostile import FAULTS, KINDS, SCENES, allowed, draw_fault, draw_faults
 from deltacharger_lab.campaigns.scene import load_campaign_scene, parse_campaign_scene
 from deltacharger_lab.campaigns.trial import ExactHostile, QuickHostile, Trial
-from deltacharger_sim.pads.source import ContactSource
+from deltacharger_sim.pads import ContactSource
 from deltacharger_sim.parameters import StandParameters, TargetParameters, WorldParameters
 from deltacharger_sim.virtual.virtual_charger import VirtualCharger
 

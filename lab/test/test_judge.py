@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from deltacharger_lab.campaigns.judge import LAWS, WorldJudge, broken, lies_wrong, nothing
-from deltacharger_sim.clearance import Overlap
+from deltacharger_sim.circuit import Overlap
 from deltacharger_sim.parameters import TargetParameters, TerminalParameters, WorldParameters
 from deltacharger_sim.world import World
 

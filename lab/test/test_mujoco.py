@@ -23,7 +23,7 @@ from deltacharger_lab.mujoco.world import (
     share_impedance,
     side_pull,
 )
-from deltacharger_sim.errors import TargetFixed
+from deltacharger_sim.motion import TargetFixed
 from deltacharger_sim.parameters import (
     CableParameters,
     ContactParameters,

@@ -13,7 +13,7 @@ import pytest
 
 from deltacharger_lab.training.estimator import TrainablePoseEstimator
 from deltacharger_lab.training.pose import train
-from deltacharger_sim.pads.generator import generate_continuous
+from deltacharger_sim.pads import generate_continuous
 from deltacharger_tactile import MODEL_PATH, PoseEstimator
 from deltacharger_tactile.errors import ModelError
 

@@ -16,7 +16,7 @@ from deltacharger_lab.reports.tactile import second
 from deltacharger_lab.reports.tactile.report import FIRES, HOLDS, NEITHER, _second_targets, accuracies, shifts
 from deltacharger_lab.training.classifier import TrainableClassifier
 from deltacharger_lab.training.estimator import TrainablePoseEstimator
-from deltacharger_sim.pads.generator import generate_continuous, generate_paper
+from deltacharger_sim.pads import generate_continuous, generate_paper
 from deltacharger_tactile.classifiers.classifier import Classifier
 from deltacharger_tactile.dataset import SUBSET_ANGLE
 from deltacharger_tactile.estimator import Estimate, to_seat

@@ -22,8 +22,7 @@ from deltacharger_lab.second.parameters import (
     SecondParameters,
     SheetParameters,
 )
-from deltacharger_sim.pads.generator import generate_continuous
-from deltacharger_sim.pads.pad_source import Lean
+from deltacharger_sim.pads import Lean, generate_continuous
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.world import World
 from deltacharger_tactile.errors import DatasetError

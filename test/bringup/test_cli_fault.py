@@ -13,7 +13,7 @@ import pytest
 
 from deltacharger_core import runtime
 from deltacharger_scenes.scene import parse_scene
-from deltacharger_sim.charger.fault_kinds import KINDS
+from deltacharger_sim.charger.faults import KINDS
 from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 
 from ..chargers import Process

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deltacharger_sim.pads.generator import generate_continuous
-from deltacharger_sim.pads.sensor import Rig
+from deltacharger_sim.pads import Rig, generate_continuous
 from deltacharger_tactile.calibration.rig import TactileCalibration
 from deltacharger_tactile.dataset import Dataset
 from deltacharger_tactile.parameters import TactileParameters

@@ -13,7 +13,7 @@ from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.observation import Command, Decision, DockGoal, Reply, Service
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_sim.pads.source import ContactSource
+from deltacharger_sim.pads import ContactSource
 from deltacharger_sim.parameters import TargetParameters, WorldParameters
 from deltacharger_sim.virtual.quick_charger import QuickCharger
 from deltacharger_sim.virtual.virtual_charger import GOAL, VirtualCharger

@@ -29,7 +29,7 @@ from deltacharger_driver.ports import SPEEDS, PseudoTerminal, RawPort, open_seri
 from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.link import ServoLink
 from deltacharger_driver.servos.registers import BusSettings
-from deltacharger_sim.pads.source import ContactSource
+from deltacharger_sim.pads import ContactSource
 
 from ..emulated_ports import Babbler, written
 from ..marks import rest

@@ -23,9 +23,8 @@ from deltacharger_driver.board.protocol import (
 )
 from deltacharger_driver.emulators.power import Outputs, StageParameters
 from deltacharger_driver.packets import Packet, PacketDecoder, encode_packet
-from deltacharger_sim.circuit import Circuit
+from deltacharger_sim.circuit import ROWS, Circuit
 from deltacharger_sim.parameters import WorldParameters
-from deltacharger_sim.target_rows import ROWS
 from deltacharger_sim.virtual.targets import LIMIT, TargetCase
 from deltacharger_sim.virtual.virtual_charger import GOAL, VirtualCharger
 

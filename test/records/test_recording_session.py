@@ -34,8 +34,8 @@ from deltacharger_records.datasets.session import (
     check_places,
 )
 from deltacharger_sim.parameters import TargetParameters, WorldParameters
-from deltacharger_sim.record import Snapshot
 from deltacharger_sim.virtual.virtual_charger import VirtualCharger
+from deltacharger_sim.world import Snapshot
 from deltacharger_tactile.dataset import Dataset
 
 from ..quick import STEPS

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from deltacharger_scenes.scene import Simulation
 from deltacharger_sim.charger.simulated_charger import SimulatedCharger
-from deltacharger_sim.pads.source import ContactSource
+from deltacharger_sim.pads import ContactSource
 from deltacharger_sim.world import World
 
 CONTACTOR = 0

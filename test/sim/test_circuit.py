@@ -11,10 +11,9 @@ import pytest
 from deltacharger_core.charge_port import Port, port_of
 from deltacharger_core.machine import BATTERY_MAX, BATTERY_MIN
 from deltacharger_driver.emulators.power import Outputs, PortParameters, StageParameters
-from deltacharger_sim.bars import Bars
-from deltacharger_sim.circuit import Circuit
-from deltacharger_sim.clearance import Overlap
+from deltacharger_sim.circuit import Circuit, Overlap
 from deltacharger_sim.parameters import CircuitParameters, TerminalParameters
+from deltacharger_sim.touch import Bars
 
 TERMINAL = TerminalParameters()
 FULL = Overlap(TERMINAL, 0.0, 0.0, 0.0)

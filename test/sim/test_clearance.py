@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deltacharger_docking import clearance
-from deltacharger_sim.clearance import Overlap
+from deltacharger_sim.circuit import Overlap
 from deltacharger_sim.parameters import TerminalParameters
 
 TERMINAL = TerminalParameters()

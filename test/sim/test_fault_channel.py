@@ -16,8 +16,7 @@ import pytest
 
 from deltacharger_driver.packets import PING
 from deltacharger_sim.charger.fault_channel import ControlServer, Registration, answer, ask
-from deltacharger_sim.charger.fault_kinds import KINDS, Hardware
-from deltacharger_sim.charger.faults import Faults
+from deltacharger_sim.charger.faults import KINDS, Faults, Hardware
 
 from ..bringup.command import run
 from ..driver.board_bench import Bench

@@ -14,7 +14,7 @@ import pytest
 from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_kinematics.geometry import DeltaGeometry, LimbAdjustment, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_sim.linkage import Linkage
+from deltacharger_sim.mechanics import Linkage
 from deltacharger_sim.parameters import (
     ContactParameters,
     MagnetParameters,

@@ -17,9 +17,11 @@ from deltacharger_sim.parameters import (
     ContactParameters,
     MagnetParameters,
     ServoParameters,
+    UnprovenWarning,
     WorldParameters,
+    doubts,
+    nearest,
 )
-from deltacharger_sim.proven import UnprovenWarning, doubts, nearest
 from deltacharger_sim.world import World
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from deltacharger_driver.board.protocol import BoardFault
-from deltacharger_sim.pads.source import ContactSource
+from deltacharger_sim.pads import ContactSource
 from deltacharger_sim.parameters import (
     ContactParameters,
     PlatformParameters,
@@ -20,7 +20,7 @@ from deltacharger_sim.parameters import (
     TargetParameters,
     WorldParameters,
 )
-from deltacharger_sim.tilt import PAD, PADS_TURN, PlatformTilt, tilts
+from deltacharger_sim.touch import PAD, PADS_TURN, PlatformTilt, tilts
 from deltacharger_tactile.contact import ContactModel
 
 ArmFactory = Callable[..., Any]

@@ -22,8 +22,7 @@ from deltacharger_sim.parameters import (
     TargetParameters,
     WorldParameters,
 )
-from deltacharger_sim.shared_world import SharedWorld
-from deltacharger_sim.world import World
+from deltacharger_sim.world import SharedWorld, World
 from test.plain import plain_servo
 
 ArmFactory = Callable[..., Any]

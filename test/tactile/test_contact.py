@@ -10,8 +10,7 @@ from unittest import mock
 import numpy as np
 import pytest
 
-from deltacharger_sim.pads.sensor import Dockings, Rig, Sensor
-from deltacharger_sim.pads.source import ContactSource
+from deltacharger_sim.pads import ContactSource, Dockings, Rig, Sensor
 from deltacharger_tactile.contact import ContactModel, Waviness
 from deltacharger_tactile.parameters import PadContactParameters, SensorParameters, TactileParameters
 

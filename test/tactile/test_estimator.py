@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deltacharger_sim.pads.generator import generate_continuous
+from deltacharger_sim.pads import generate_continuous
 from deltacharger_tactile import Estimate, default_model
 from deltacharger_tactile.contact import ContactModel
 from deltacharger_tactile.features import fill_dead

@@ -15,7 +15,7 @@ import pytest
 
 import deltacharger_tactile
 from deltacharger_core.machine import DOCKING_JITTER
-from deltacharger_sim.pads.generator import generate_continuous, generate_paper
+from deltacharger_sim.pads import generate_continuous, generate_paper
 from deltacharger_tactile import default_model
 from deltacharger_tactile.dataset import Dataset
 from deltacharger_tactile.errors import DatasetError

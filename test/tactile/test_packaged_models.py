@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deltacharger_sim.pads.generator import generate_continuous, generate_paper
+from deltacharger_sim.pads import generate_continuous, generate_paper
 from deltacharger_tactile import MODEL_PATH, PoseEstimator
 from deltacharger_tactile.classifiers import classifier, labels
 from deltacharger_tactile.classifiers.classifier import Classifier

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deltacharger_sim.pads.generator import generate_continuous
-from deltacharger_sim.pads.source import ContactSource
+from deltacharger_sim.pads import ContactSource, generate_continuous
 from deltacharger_tactile import MODEL_PATH, default_model
 from deltacharger_tactile.calibration.rig import TactileCalibration
 from deltacharger_tactile.classifiers import classifier

@@ -13,8 +13,7 @@ import pytest
 import yaml
 
 from deltacharger_core.yaml_file import write_yaml
-from deltacharger_sim.pads.generator import generate_continuous, measure
-from deltacharger_sim.pads.sensor import Rig
+from deltacharger_sim.pads import Rig, generate_continuous, measure
 from deltacharger_tactile import PoseEstimator, default_model
 from deltacharger_tactile.calibration.fit import (
     JITTER,

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from deltacharger_sim.mechanics import Mechanics
-from deltacharger_sim.pads.pad_source import Pose
+from deltacharger_sim.pads import Pose
 from deltacharger_sim.parameters import TerminalParameters
 from deltacharger_sim.world import World
 

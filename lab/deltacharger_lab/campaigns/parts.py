@@ -16,8 +16,7 @@ from deltacharger_core.parameters import Declaration, ParameterError, declared, 
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry, LimbAdjustment, Vector
 from deltacharger_lab.second.parameters import PlatformRestParameters, SecondParameters
-from deltacharger_sim.pads.pad_source import PadSource
-from deltacharger_sim.pads.source import ContactSource
+from deltacharger_sim.pads import ContactSource, PadSource
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_tactile import PoseEstimator, default_model
 from deltacharger_tactile.parameters import PadContactParameters, TactileParameters

@@ -27,10 +27,9 @@ from deltacharger_lab.campaigns.faults import Acting, HostileFault, Reading, Ser
 from deltacharger_lab.campaigns.hostile import GOAL, SCENES, SUSPENDED, TIMED, allowed, draw_faults
 from deltacharger_lab.campaigns.judge import BY_HAND, GRACE, GRACE_STALLED, WorldJudge, broken
 from deltacharger_sim.circuit import Circuit
-from deltacharger_sim.pads.pad_source import Lean, PadSource, Pose
+from deltacharger_sim.pads import Lean, PadSource, Pose
 from deltacharger_sim.parameters import WorldParameters
-from deltacharger_sim.virtual.quick_charger import QuickCharger
-from deltacharger_sim.virtual.quick_motion import QuickPlanner
+from deltacharger_sim.virtual.quick_charger import QuickCharger, QuickPlanner
 from deltacharger_sim.virtual.virtual_charger import TICK, Pending, VirtualCharger
 from deltacharger_sim.world import TactileSource, World
 

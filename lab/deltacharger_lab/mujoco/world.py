@@ -32,10 +32,9 @@ from deltacharger_core.parameters import ParameterError
 from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_records.view.shapes import rod_angles
-from deltacharger_sim.bars import Bars
 from deltacharger_sim.motion import Motion
 from deltacharger_sim.parameters import MagnetParameters, ServoParameters, WorldParameters
-from deltacharger_sim.tilt import PAD, PADS_TURN, level_yaw, tilts
+from deltacharger_sim.touch import PAD, PADS_TURN, Bars, level_yaw, tilts
 from deltacharger_sim.world import TactileSource, World
 
 IMPEDANCE = 0.9  # d of contacts and joint stops: share of the solver's motion that a constraint decides

@@ -20,8 +20,7 @@ from deltacharger_core.machine import FRAME_RATE
 from deltacharger_lab.second.device import Device, SheetSensor, Touches
 from deltacharger_lab.second.equilibrium import Equilibrium
 from deltacharger_lab.second.parameters import SecondParameters
-from deltacharger_sim.pads.generator import contact_force
-from deltacharger_sim.pads.pad_source import Lean, PadSource, Pose, approach
+from deltacharger_sim.pads import Lean, PadSource, Pose, approach, contact_force
 from deltacharger_tactile.dataset import VERSION, Dataset
 from deltacharger_tactile.errors import DatasetError
 

@@ -24,7 +24,7 @@ from deltacharger_lab.training.estimator import TrainablePoseEstimator
 from deltacharger_lab.training.judgement import AXES, evaluate_classifier, evaluate_pose
 from deltacharger_lab.training.pose import fit_dataset
 from deltacharger_lab.training.splits import by_docking
-from deltacharger_sim.pads.generator import generate_continuous, generate_paper
+from deltacharger_sim.pads import generate_continuous, generate_paper
 from deltacharger_tactile.classifiers.classifier import NAMES
 from deltacharger_tactile.classifiers.labels import examples
 from deltacharger_tactile.dataset import Dataset

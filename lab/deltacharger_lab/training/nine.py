@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from deltacharger_lab.training.classifier import TrainableClassifier
-from deltacharger_sim.pads.generator import generate_paper
+from deltacharger_sim.pads import generate_paper
 from deltacharger_tactile.classifiers import classifier
 from deltacharger_tactile.classifiers.labels import TARGETS, Examples, examples
 from deltacharger_tactile.dataset import Dataset

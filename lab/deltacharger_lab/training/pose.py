@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from deltacharger_core.arrays import Array
 from deltacharger_core.machine import PADS
 from deltacharger_lab.training.estimator import TrainablePoseEstimator
-from deltacharger_sim.pads.generator import measure
-from deltacharger_sim.pads.sensor import Rig
+from deltacharger_sim.pads import Rig, measure
 from deltacharger_tactile import MODEL_PATHS
 from deltacharger_tactile.dataset import Dataset
 from deltacharger_tactile.errors import DatasetError

@@ -23,8 +23,7 @@ from deltacharger_lab.reports.simulation.scenes import (
     was_reset,
     world,
 )
-from deltacharger_sim.parameters import TargetParameters, WorldParameters
-from deltacharger_sim.proven import UnprovenWarning
+from deltacharger_sim.parameters import TargetParameters, UnprovenWarning, WorldParameters
 
 _MOST_RUNS = 200  # of one timing
 WITH_FRICTION = world()
@@ -103,9 +102,9 @@ def complete_docking(name: str, step: float, number: int) -> dict[str, Any]:
         step: of the world, s; MuJoCo takes steps of 1 ms in it.
         number: of the docking: target and seed.
     """
-    from deltacharger_sim.pads.source import ContactSource
-    from deltacharger_sim.shared_world import SharedWorld
+    from deltacharger_sim.pads import ContactSource
     from deltacharger_sim.virtual.virtual_charger import VirtualCharger
+    from deltacharger_sim.world import SharedWorld
 
     parameters = WorldParameters(servo=COMPARED, target=TARGETS[number], step=step)
     tactile = ContactSource(None, 900, number)

@@ -16,7 +16,7 @@ from deltacharger_core.machine import SERVO_STIFFNESS, STALL_CURRENT, TORQUE_CON
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_lab.mujoco.world import MujocoMechanics, mujoco_world
-from deltacharger_sim.pads.pad_source import approach
+from deltacharger_sim.pads import approach
 from deltacharger_sim.parameters import ContactParameters, ServoParameters, WorldParameters
 from deltacharger_sim.world import World
 from deltacharger_tactile.contact import ContactModel

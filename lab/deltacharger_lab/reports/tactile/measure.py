@@ -21,8 +21,7 @@ from deltacharger_lab.training import splits
 from deltacharger_lab.training.classifier import TrainableClassifier
 from deltacharger_lab.training.judgement import evaluate_classifier
 from deltacharger_lab.training.reliability import WINDOW
-from deltacharger_sim.pads.generator import generate_paper, measure
-from deltacharger_sim.pads.sensor import Rig
+from deltacharger_sim.pads import Rig, generate_paper, measure
 from deltacharger_tactile.classifiers import labels
 from deltacharger_tactile.classifiers.classifier import NAMES, Classifier
 from deltacharger_tactile.classifiers.labels import Examples

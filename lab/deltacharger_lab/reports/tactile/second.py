@@ -20,7 +20,7 @@ from deltacharger_lab.second.generator import JUST_NOW, dock_anew
 from deltacharger_lab.second.parameters import SecondParameters
 from deltacharger_lab.training.classifier import TrainableClassifier
 from deltacharger_lab.training.judgement import evaluate_classifier
-from deltacharger_sim.pads.generator import generate_continuous
+from deltacharger_sim.pads import generate_continuous
 from deltacharger_tactile import default_model
 from deltacharger_tactile.classifiers import labels
 from deltacharger_tactile.dataset import Dataset
