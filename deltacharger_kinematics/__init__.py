@@ -6,8 +6,7 @@
 
 from deltacharger_kinematics.delta import Delta, Forward, Inverse, Jacobian
 from deltacharger_kinematics.geometry import DeltaGeometry, LimbAdjustment
-from deltacharger_kinematics.modes import AHEAD, BEHIND, KNEE_OUT, WORKING_MODES
-from deltacharger_kinematics.status import KinematicsError, Status
+from deltacharger_kinematics.status import AHEAD, BEHIND, KNEE_OUT, WORKING_MODES, KinematicsError, Status
 
 __all__ = [
     "AHEAD",

@@ -28,12 +28,10 @@ from numpy.typing import ArrayLike, NDArray
 from deltacharger_core.arrays import Array, Mask
 from deltacharger_core.machine import JOINT_SPEED
 from deltacharger_core.parameters import Bounded, number
-from deltacharger_kinematics.arguments import as_vectors
-from deltacharger_kinematics.delta import Delta
+from deltacharger_kinematics.delta import Delta, as_vectors
 from deltacharger_kinematics.geometry import LONGEST, Vector
-from deltacharger_kinematics.limb_arrays import LimbArrays
-from deltacharger_kinematics.modes import KNEE_OUT
-from deltacharger_kinematics.status import NO_ANSWER, KinematicsError, Status
+from deltacharger_kinematics.solve import LimbArrays
+from deltacharger_kinematics.status import KNEE_OUT, NO_ANSWER, KinematicsError, Status
 
 REFUSED = NO_ANSWER | Status.WRONG_ASSEMBLY | Status.NEAR_TYPE_2 | Status.JOINT_LIMIT | Status.SWING_LIMIT
 """Statuses refused by default for points of a line. Points outside the workspace box and near the edge of reach

@@ -11,10 +11,18 @@ import math
 from collections.abc import Sequence
 from math import atan2, cos, sin, sqrt
 
-from deltacharger_kinematics.exact.precise import DOUBTFUL_ROOT, HOPELESS, solve_limb_at
+from deltacharger_kinematics.exact import DOUBTFUL_ROOT, HOPELESS, solve_limb_at
 from deltacharger_kinematics.geometry import LIMB_COUNT, LIMB_DIRECTIONS, DeltaGeometry, Limb, Vector
-from deltacharger_kinematics.modes import AHEAD, KNEE_OUT, WorkingMode, check_modes
-from deltacharger_kinematics.status import COLLINEAR, NEAR_TYPE_1, NEAR_TYPE_2, Status
+from deltacharger_kinematics.status import (
+    AHEAD,
+    COLLINEAR,
+    KNEE_OUT,
+    NEAR_TYPE_1,
+    NEAR_TYPE_2,
+    Status,
+    WorkingMode,
+    check_modes,
+)
 
 Matrix = tuple[float, float, float, float, float, float, float, float, float]
 # One limb at a point: angle, σ√Q, v, u, w, 2a(u² + w²)·(sin θ, cos θ), u² + w².

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Status of each point of a solution."""
+"""Solutions: the status of each point, the side of each knee (working mode) and of the platform (assembly)."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from enum import IntFlag
+from typing import Any
 
 from deltacharger_core.picklable import Picklable
 
@@ -60,3 +62,30 @@ class KinematicsError(Picklable, ValueError):
         )
         more = f" and {len(self.indices) - 5} more" if len(self.indices) > 5 else ""
         super().__init__(f"{shown}{more}; move the points inside the workspace or solve with strict=False")
+
+
+WorkingMode = tuple[int, int, int]
+
+KNEE_OUT: WorkingMode = (-1, -1, -1)
+"""All elbows outward; +1 turns a limb's elbow inward. The σ of the formulas."""
+
+WORKING_MODES: tuple[WorkingMode, ...] = tuple(itertools.product((-1, 1), repeat=3))  # type: ignore[arg-type]
+"""All eight solutions of the inverse kinematics, KNEE_OUT first."""
+
+AHEAD = 1
+"""Platform on the side of the elbows' plane to which (c₁ − c₀) × (c₂ − c₀) points: +z in the workspace."""
+
+BEHIND = -1
+"""The mirror assembly."""
+
+
+def check_modes(working_mode: Any, assembly: Any) -> None:
+    """Check working mode and assembly.
+
+    Raises:
+        ValueError: names the argument.
+    """
+    if working_mode not in WORKING_MODES:
+        raise ValueError(f"working_mode is {working_mode!r}: give a tuple of three, each -1 (knee out) or +1 (knee in)")
+    if assembly not in (AHEAD, BEHIND):
+        raise ValueError(f"assembly is {assembly!r}: give +1 (ahead of the elbows) or -1 (behind)")

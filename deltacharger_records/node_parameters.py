@@ -15,8 +15,7 @@ from deltacharger_core.bounded_file import given_path, parse_json
 from deltacharger_core.mcap_file import McapFile, RecordingError
 from deltacharger_core.parameters import from_mapping
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_kinematics.geometry import DeltaGeometry
-from deltacharger_kinematics.geometry_file import geometry_to_mapping, load_geometry
+from deltacharger_kinematics.geometry import DeltaGeometry, geometry_to_mapping, load_geometry
 from deltacharger_records.recording.folder import PARAMETERS
 from deltacharger_ros.qos import SERVICE
 

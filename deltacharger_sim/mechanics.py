@@ -32,8 +32,8 @@ from math import atan2, cos, sin, sqrt
 
 from deltacharger_core.machine import GRAVITY_STRENGTH, NOMINAL_VOLTAGE
 from deltacharger_kinematics.geometry import LIMB_COUNT, LIMB_DIRECTIONS, DeltaGeometry, Vector
-from deltacharger_kinematics.modes import KNEE_OUT
 from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_kinematics.status import KNEE_OUT
 from deltacharger_sim.impact import StepForces, make_impact
 from deltacharger_sim.motion import Motion
 from deltacharger_sim.parameters import CableParameters, StandParameters, WorldParameters

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from deltacharger_kinematics.calibration.servo_arm import ArmReadings, whole_ticks
+from deltacharger_kinematics.calibration.servo_fit import ArmReadings, whole_ticks
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.world import World

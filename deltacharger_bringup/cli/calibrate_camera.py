@@ -20,7 +20,7 @@ from deltacharger_bringup.cli.output import CommandError, Interrupts, Result, Wr
 from deltacharger_core.bounded_file import sha256
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.parameters import ParameterError
-from deltacharger_kinematics.calibration.table import MILLIMETRE
+from deltacharger_kinematics.calibration.data import MILLIMETRE
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_vision.cameras.ros_formats import load_camera_info
 from deltacharger_vision.errors import VisionError

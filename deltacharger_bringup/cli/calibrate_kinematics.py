@@ -31,15 +31,26 @@ from deltacharger_bringup.cli.output import (
     wrong_input,
 )
 from deltacharger_core.bounded_file import sha256
-from deltacharger_kinematics.calibration.calibrate import GeometryCalibration, calibrate, describe
-from deltacharger_kinematics.calibration.checks import named
-from deltacharger_kinematics.calibration.data import TICK, Encoder, read_measurements
-from deltacharger_kinematics.calibration.plan import PlannedPose, plan, read_plan, write_plan
-from deltacharger_kinematics.calibration.problem import NAMES, Uncertainty, numbers, rms
-from deltacharger_kinematics.calibration.recording import PoseRecording
-from deltacharger_kinematics.calibration.table import MILLIMETRE, CalibrationError
-from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry, Vector
-from deltacharger_kinematics.geometry_file import geometry_to_mapping, load_geometry, save_geometry
+from deltacharger_kinematics.calibration.calibrate import (
+    NAMES,
+    GeometryCalibration,
+    Uncertainty,
+    calibrate,
+    describe,
+    named,
+    numbers,
+    rms,
+)
+from deltacharger_kinematics.calibration.data import MILLIMETRE, TICK, CalibrationError, Encoder, read_measurements
+from deltacharger_kinematics.calibration.plan import PlannedPose, PoseRecording, plan, read_plan, write_plan
+from deltacharger_kinematics.geometry import (
+    LIMB_COUNT,
+    DeltaGeometry,
+    Vector,
+    geometry_to_mapping,
+    load_geometry,
+    save_geometry,
+)
 
 if TYPE_CHECKING:
     from deltacharger_records.datasets.arm_client import ArmClient

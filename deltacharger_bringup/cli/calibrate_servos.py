@@ -16,10 +16,15 @@ from deltacharger_bringup.cli.charger import DISCOVERY, prepare, ros_context
 from deltacharger_bringup.cli.output import CommandError, Interrupts, Result, Tenths, conclude, log_line
 from deltacharger_core.parameters import ParameterError
 from deltacharger_core.servos_file import MeasuredServos, save_servos, servos_to_mapping
-from deltacharger_kinematics.calibration.servo_arm import ServoTask, ServoTrouble
-from deltacharger_kinematics.calibration.servo_checks import Gains, differing, doubts, to_file
-from deltacharger_kinematics.calibration.servo_fit import CONSTANT, FRICTION, STIFFNESS
-from deltacharger_kinematics.calibration.servo_procedure import MeasuredArm, measure_servos
+from deltacharger_kinematics.calibration.servo_fit import CONSTANT, FRICTION, STIFFNESS, ServoTask, ServoTrouble
+from deltacharger_kinematics.calibration.servo_procedure import (
+    Gains,
+    MeasuredArm,
+    differing,
+    doubts,
+    measure_servos,
+    to_file,
+)
 
 _HEADS = ("servo 1", "servo 2", "servo 3", "arm")
 

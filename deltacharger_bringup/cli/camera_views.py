@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from deltacharger_core.files import append_text
 from deltacharger_core.picklable import Picklable
 from deltacharger_core.yaml_file import write_yaml
-from deltacharger_kinematics.calibration.table import DEGREES, POSITION_COLUMNS, RADIANS, CalibrationError, read_table
+from deltacharger_kinematics.calibration.data import DEGREES, POSITION_COLUMNS, RADIANS, CalibrationError, read_table
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_vision.hand_eye.board import Board

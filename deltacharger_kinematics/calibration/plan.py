@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plans the poses to measure for a calibration: a grid over the workspace, and held-out poses to judge the fit."""
+"""Poses that a calibration should measure, and their recording."""
 
 from __future__ import annotations
 
@@ -11,14 +11,17 @@ from pathlib import Path
 
 import numpy as np
 
-from deltacharger_kinematics.calibration.data import Encoder
-from deltacharger_kinematics.calibration.table import (
+from deltacharger_core.bounded_file import read_bytes
+from deltacharger_core.files import append_text
+from deltacharger_kinematics.calibration.data import (
     AXES,
     HELD_OUT,
+    LARGEST_FILE,
     MILLIMETRE,
     PLAN_COLUMNS,
     TICKS,
     CalibrationError,
+    Encoder,
     read_table,
 )
 from deltacharger_kinematics.delta import Delta
@@ -113,3 +116,54 @@ def read_plan(path: str | Path) -> tuple[PlannedPose, ...]:
         PlannedPose(int(number), bool(kept), (float(x), float(y), float(z)))
         for number, kept, (x, y, z) in zip(numbers, held_out, positions, strict=True)
     )
+
+
+COLUMNS = ("pose", HELD_OUT, *TICKS, *(f"{axis}_mm" for axis in AXES))
+
+
+class PoseRecording:
+    """Measured poses in a file that `read_measurements` reads.
+
+    Args:
+        path: file; created if missing, otherwise continued.
+        encoder: encoder of the ticks.
+
+    Attributes:
+        encoder: as given.
+        done: numbers of the recorded poses.
+
+    Raises:
+        OSError: the file cannot be read or written.
+        CalibrationError: the file is no recording, or was recorded with another encoder.
+    """
+
+    def __init__(self, path: str | Path, encoder: Encoder) -> None:
+        self._path = Path(path)
+        self.encoder = encoder
+        self.done: set[int] = set()
+        if not self._path.exists():
+            self._write(f"{encoder.statement}{','.join(COLUMNS)}\n")
+            return
+        table = read_table(self._path)
+        if table.names != COLUMNS or table.decimal_comma:
+            raise CalibrationError(f"{path} is no recording of --measure: give a new file, or one written by --measure")
+        if Encoder(**table.stated) != encoder:
+            raise CalibrationError(f"{path} was recorded with other zero ticks or directions: give a new file")
+        self.done = {int(number) for number in table.column("pose")}
+        if not read_bytes(self._path, LARGEST_FILE).endswith(b"\n"):
+            self._write("\n")
+
+    def append(self, pose: PlannedPose, ticks: Vector, position: Vector) -> None:
+        """Add one row and sync it to the disk.
+
+        Args:
+            pose: the measured pose.
+            ticks: encoder counts.
+            position: m in charger_base.
+        """
+        cells = [str(pose.number), str(int(pose.held_out)), *(f"{value:.2f}" for value in ticks)]
+        self._write(",".join([*cells, *(f"{value / MILLIMETRE:.4f}" for value in position)]) + "\n")
+        self.done.add(pose.number)
+
+    def _write(self, text: str) -> None:
+        append_text(self._path, text)

@@ -7,23 +7,161 @@ share of the torque that all gears take besides. The torque is visible twice: cu
 k. Unknown are k, Kt and f of each servo, g, and w, of which only the tolerance is known. As k, Kt and f all depend on
 w, it enters all their standard errors. Also unknown is each arm's offset from its encoder, caused by play (the arm
 hangs on one side of it) and by remaining errors of the geometry. If k turns a load into few encoder ticks,
-`servo_ticks` counts them.
+`stiffness_by_ticks` counts them.
+
+Interface to an arm whose servos are measured, and its readings at rest.
+The same procedure runs over ROS and in virtual time; each provides a `ServoArm`.
+
+Estimates the stiffness of a servo whose loads turn it by only a few encoder ticks.
+Goals are whole ticks and readings are rounded to ticks, so goal − angle is an integer n: torque over stiffness lies
+within half a tick of n. Over few ticks this rounding does not average out like noise. Therefore each stiffness of a
+grid is weighted by the likelihood of all these integers.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
 from deltacharger_core.arrays import Array
+from deltacharger_core.machine import GRAVITY, TORQUE_CONSTANT
 from deltacharger_kinematics.calibration.data import TICK
-from deltacharger_kinematics.calibration.servo_arm import ServoTask, ServoTrouble, StaticReading
-from deltacharger_kinematics.calibration.servo_ticks import stiffness_by_ticks
 from deltacharger_kinematics.delta import Delta
-from deltacharger_kinematics.geometry import LIMB_COUNT
+from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry, Vector
+
+WEIGHT_TOLERANCE = 0.02
+"""Default relative standard deviation of the weight of platform and rods."""
+
+
+class ServoTrouble(RuntimeError):
+    """The servos cannot be measured, or the result is not credible. The message states the reason and the remedy."""
+
+
+@dataclass(frozen=True)
+class ServoTask:
+    """Task of a measurement: known properties of the arm, duration, seed.
+
+    Attributes:
+        geometry: dimensions and masses.
+        gravity: in charger_base, m/s².
+        torque_constant: N·m/A by which servo_node converts torque bounds to currents.
+        weight_tolerance: relative standard deviation of the weight of platform and rods.
+        seconds: duration of the measurement.
+        seed: seed of the order of the poses.
+    """
+
+    geometry: DeltaGeometry = field(default_factory=DeltaGeometry)
+    gravity: Vector = GRAVITY
+    torque_constant: float = TORQUE_CONSTANT
+    weight_tolerance: float = WEIGHT_TOLERANCE
+    seconds: float = 150.0
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class ArmReadings:
+    """Readings over some time, one per row: angles (n, 3) rad and signed currents (n, 3) A, as in servo_state."""
+
+    angles: Array
+    currents: Array
+
+
+class ServoArm(Protocol):
+    """An arm with its torque on and free to move."""
+
+    def clock(self) -> float:
+        """Return the time, s, from an arbitrary zero."""
+
+    def goals(self) -> Vector:
+        """Return the commanded angles, rad."""
+
+    def follow(self, line: Sequence[tuple[float, Vector]], bound: Vector) -> None:
+        """Move the goals linearly from point to point (s from now, rad), torque bounded (N·m); return at the end."""
+
+    def read(self, seconds: float) -> ArmReadings:
+        """Return the servo readings of the next `seconds`."""
+
+
+@dataclass(frozen=True)
+class StaticReading:
+    """The arm at rest.
+
+    Attributes:
+        goals: commanded angles, rad, whole ticks.
+        angles: encoder angles, rad.
+        currents: means, A.
+        current_errors: their standard errors, A.
+        directions: last direction of rotation of each servo, +1 or −1, which gives the sign of friction; 0 = unknown.
+    """
+
+    goals: Vector
+    angles: Vector
+    currents: Vector
+    current_errors: Vector
+    directions: tuple[int, int, int]
+
+
+def whole_ticks(angles: Sequence[float]) -> Vector:
+    """Return angles (rad) rounded to whole encoder ticks."""
+    first, second, third = (round(angle / TICK) * TICK for angle in angles)
+    return first, second, third
+
+
+def at_rest(goals: Vector, readings: ArmReadings, directions: tuple[int, int, int]) -> StaticReading:
+    """Average readings at rest."""
+    count = len(readings.currents)
+    spread = np.std(readings.currents, axis=0, ddof=1)
+    # Noise dithers the register's steps of 3.36 mA; a reading without noise is no more precise than the steps.
+    errors = np.maximum(spread, 2e-3) / math.sqrt(count)
+    return StaticReading(
+        goals,
+        _vector(np.mean(readings.angles, axis=0)),
+        _vector(np.mean(readings.currents, axis=0)),
+        _vector(errors),
+        directions,
+    )
+
+
+def _vector(row: Array) -> Vector:
+    return float(row[0]), float(row[1]), float(row[2])
+
+
+_SPAN, _STEPS = 0.35, 1401  # of the logarithm of the stiffness on both sides of the first guess
+_BLURS = (0.04, 0.08, 0.15, 0.3, 0.6)
+"""Ticks, standard deviations of torque over stiffness due to torque errors; equal prior probability."""
+_STRAY = 1e-3  # probability of an outlier
+
+
+def stiffness_by_ticks(torques: Array, errors: Array, guess: float) -> tuple[float, float]:
+    """Return mean and standard deviation of the logarithm of the stiffness (N·m/rad).
+
+    Args:
+        torques: torques held by the servo, N·m (n,).
+        errors: goal − angle, rad (n,).
+        guess: N·m/rad.
+    """
+    logarithms = np.log(guess) + np.linspace(-_SPAN, _SPAN, _STEPS)
+    off = errors[:, None] / TICK - torques[:, None] / TICK * np.exp(-logarithms)
+    likelihoods = []
+    for blur in _BLURS:
+        within = _normal((off + 0.5) / blur) - _normal((off - 0.5) / blur)
+        likelihoods.append(np.log((1.0 - _STRAY) * within + _STRAY).sum(axis=0))
+    logs = np.array(likelihoods)
+    likelihood = np.exp(logs - logs.max()).sum(axis=0)
+    likelihood /= likelihood.sum()
+    mean = float(likelihood @ logarithms)
+    return mean, float(np.sqrt(likelihood @ (logarithms - mean) ** 2))
+
+
+def _normal(values: Array) -> Array:
+    """Return the normal distribution function at `values`, to 2e-4 (a logistic with a cubic term)."""
+    inner = np.clip(1.5976 * values + 0.07056 * values**3, -60.0, 60.0)
+    return np.asarray(1.0 / (1.0 + np.exp(-inner)))
+
 
 ANGLE_ERROR = TICK / math.sqrt(12.0)
 """rad; goals are whole ticks, and readings are rounded to ticks."""

@@ -1,21 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measures the servos of a free arm: moves from place to place and reads at rest until the time is over."""
+"""Measures the servos of a free arm until the time is over, checks whether they are credible, builds their file."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from deltacharger_core.arrays import Array
-from deltacharger_kinematics.calibration.servo_arm import ServoArm, ServoTask, StaticReading
-from deltacharger_kinematics.calibration.servo_fit import CONSTANT, STIFFNESS, ServoFit, fit_servos
-from deltacharger_kinematics.calibration.servo_plan import PosePlanner
-from deltacharger_kinematics.calibration.servo_play import Play, sweep_play
-from deltacharger_kinematics.calibration.servo_walk import ArmWalk
-from deltacharger_kinematics.swing import SwingReading, Swung, fit_swing
+from deltacharger_core.machine import POSITION_D_GAIN, POSITION_P_GAIN, SERVO_STIFFNESS, TORQUE_CONSTANT
+from deltacharger_core.servos_file import MeasuredServo, MeasuredServos
+from deltacharger_kinematics.calibration.servo_fit import (
+    CONSTANT,
+    FRICTION,
+    STIFFNESS,
+    ServoArm,
+    ServoFit,
+    ServoTask,
+    StaticReading,
+    fit_servos,
+    loads_at,
+)
+from deltacharger_kinematics.calibration.servo_walk import ArmWalk, Play, PosePlanner, sweep_play
+from deltacharger_kinematics.geometry import LIMB_COUNT
+from deltacharger_kinematics.swing import LEAST_DAMPING, SwingReading, Swung, fit_swing, surely_swings
 
 _FIRST_TURN, _TURN = 0.12, 0.03  # rad, smallest rotation of a servo before and after its friction is known
 _ROUGH = 8  # readings between fits of the model
@@ -110,3 +121,179 @@ def _surely_turned(reading: StaticReading, before: Array) -> StaticReading:
     return StaticReading(
         reading.goals, reading.angles, reading.currents, reading.current_errors, (first, second, third)
     )
+
+
+NAMES = ("stiffness", "torque constant", "friction")
+UNITS = ("N·m/rad", "N·m/A", "N·m")
+SOFTEST, STIFFEST = 2.0, 40.0
+"""N·m/rad, range of stiffness with which docking was tested."""
+UNEXPLAINED = 2.0
+"""Scatter above which the weight does not explain the torques."""
+FAR_CONSTANT = 0.3
+"""Largest relative difference of a torque constant from the vendor's."""
+_DIFFERS, _NOTICED = 4.0, 0.08  # standard errors and share above which a servo differs from the others
+_UNSURE = 0.15  # largest relative standard error of a stiffness
+_TURNED = math.radians(8.0)  # rotation of gravity that is reported
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Gains of the position loop during the measurement."""
+
+    p: int = POSITION_P_GAIN
+    i: int = 0
+    d: int = POSITION_D_GAIN
+
+
+def doubts(measured: MeasuredArm, task: ServoTask, gains: Gains) -> list[str]:
+    """Return the reasons not to use the measurement; empty = use it."""
+    found = [*_of_the_weight(measured, task), *_of_the_numbers(measured, gains), *_of_the_swings(measured, gains)]
+    if not found:  # otherwise these explain it
+        found = [
+            f"play and friction do not explain how servo {servo + 1} turns back: check for a loose rod or horn"
+            for servo in measured.play.strange
+        ]
+    return found
+
+
+def _of_the_weight(measured: MeasuredArm, task: ServoTask) -> list[str]:
+    fit, found = measured.fit, []
+    if fit.scatter > UNEXPLAINED:
+        turned = gravity_by_currents(measured, task)
+        angle = math.acos(float(np.clip(turned @ np.array(task.gravity) / np.linalg.norm(task.gravity), -1.0, 1.0)))
+        hint = ", ".join(f"{9.81 * value:.1f}" for value in turned)
+        found.append(
+            f"the torques do not match the arm's weight: they scatter {fit.scatter:.1f} times as much as noise and "
+            "ticks explain; "
+            + (
+                f"they look like gravity ({hint}) m/s², {math.degrees(angle):.0f}° from docking_node's parameters: "
+                "correct gravity"
+                if angle > _TURNED
+                else "remove the target; check for a loose platform, rod or horn and a pulling cable, and check the "
+                "geometry"
+            )
+        )
+    mean = fit.common(CONSTANT)[0]
+    if abs(mean / TORQUE_CONSTANT - 1.0) > FAR_CONSTANT:
+        share = TORQUE_CONSTANT / mean
+        found.append(
+            f"the torque constant of {mean:.2f} N·m/A is far from the vendor's {TORQUE_CONSTANT:.2f}: probably the arm "
+            f"weighs {share:.2f} times platform_mass and rod_mass; weigh the end effector, or screw it on"
+        )
+    return found
+
+
+def _of_the_numbers(measured: MeasuredArm, gains: Gains) -> list[str]:
+    fit, found = measured.fit, []
+    for servo, (value, error) in enumerate(zip(fit.stiffness, fit.error(STIFFNESS), strict=True)):
+        if value + 2.0 * error < SOFTEST or value - 2.0 * error > STIFFEST:
+            better = max(1, round(gains.p * SERVO_STIFFNESS / value))
+            found.append(
+                f"servo {servo + 1} has {value:.1f} N·m/rad, but docking was tested with {SOFTEST:g} to {STIFFEST:g}: "
+                f"set position_p_gain of servo_node to about {better}, and measure again"
+            )
+    for servo, (value, error) in enumerate(zip(fit.stiffness, fit.error(STIFFNESS), strict=True)):
+        if error > _UNSURE * value:
+            found.append(
+                f"the stiffness of servo {servo + 1} has an error of {100 * error / value:.0f} %: give more --seconds, "
+                "or lower position_p_gain"
+            )
+    for servo, value in enumerate(fit.friction):
+        if value <= 0.0:
+            found.append(
+                f"the friction of servo {servo + 1} is {value:.3f} N·m, which is not positive: something pulls the arm "
+                "along, such as a cable or a hand; remove it"
+            )
+    return found
+
+
+def _of_the_swings(measured: MeasuredArm, gains: Gains) -> list[str]:
+    return [
+        f"servo {number} swings: its damping is {each.damping:.2f} N·m·s/rad, below {LEAST_DAMPING}: raise "
+        f"position_d_gain of servo_node ({gains.d}), and measure again"
+        for number, each in enumerate(measured.swings, 1)
+        if surely_swings(each)
+    ]
+
+
+def gravity_by_currents(measured: MeasuredArm, task: ServoTask) -> Array:
+    """Return the direction (3,) of gravity that fits the currents best."""
+    angles = np.array([reading.angles for reading in measured.readings])
+    currents = np.array([reading.currents for reading in measured.readings])
+    signs = np.array([reading.directions for reading in measured.readings], dtype=float)
+    parts = np.stack(
+        [loads_at(angles, ServoTask(task.geometry, (float(x), float(y), float(z)))) for x, y, z in np.eye(3)], axis=-1
+    )
+    rows = np.zeros((*signs.shape, 3 + LIMB_COUNT))
+    rows[..., :3] = parts
+    for servo in range(LIMB_COUNT):
+        rows[:, servo, 3 + servo] = signs[:, servo]
+    used = signs != 0.0
+    found, *_ = np.linalg.lstsq(rows[used], currents[used], rcond=None)
+    return np.asarray(found[:3] / max(float(np.linalg.norm(found[:3])), 1e-12))
+
+
+def differing(measured: MeasuredArm) -> list[str]:
+    """Return as text which servos differ from the other two by more than errors explain, and how."""
+    fit, found = measured.fit, []
+    for what, values in ((STIFFNESS, fit.stiffness), (CONSTANT, fit.torque_constant), (FRICTION, fit.friction)):
+        errors = fit.own_error(what)
+        for servo in range(LIMB_COUNT):
+            others = [other for other in range(LIMB_COUNT) if other != servo]
+            mean, spread = float(values[others].mean()), float(np.hypot(*errors[others])) / 2.0
+            alike = abs(values[others[0]] - values[others[1]]) <= 0.5 * abs(values[servo] - mean)
+            sigmas = abs(values[servo] - mean) / math.hypot(errors[servo], spread)
+            if alike and sigmas > _DIFFERS and abs(values[servo] / mean - 1.0) > _NOTICED:
+                found.append(
+                    f"the {NAMES[what]} of servo {servo + 1} differs from the others: {values[servo]:.3g} against "
+                    f"{mean:.3g} {UNITS[what]}"
+                )
+    return found
+
+
+def to_file(measured: MeasuredArm, gains: Gains) -> MeasuredServos:
+    """Return the content of the servos file.
+
+    Raises:
+        ParameterError: a value lies outside the bounds of the nodes.
+    """
+    fit, play, swings = measured.fit, measured.play, measured.swings
+    servos = [
+        MeasuredServo(
+            **_numbers(
+                (fit.stiffness[servo], fit.error(STIFFNESS)[servo]),
+                (fit.torque_constant[servo], fit.error(CONSTANT)[servo]),
+                (fit.friction[servo], fit.error(FRICTION)[servo]),
+                (play.width[servo], play.error[servo]),
+                (swings[servo].damping, swings[servo].damping_stddev),
+            )
+        )
+        for servo in range(LIMB_COUNT)
+    ]
+    seen = np.isfinite(play.width)
+    common_play = (math.nan, math.nan)
+    if seen.any():
+        common_play = (float(play.width[seen].mean()), float(np.hypot.reduce(play.error[seen]) / seen.sum()))
+    known = [(each.damping, each.damping_stddev) for each in swings if math.isfinite(each.damping)]
+    mean, errors = np.mean(known, axis=0) if known else (math.nan, math.nan)
+    damping = float(mean), float(errors) / math.sqrt(max(len(known), 1))
+    common = _numbers(fit.common(STIFFNESS), fit.common(CONSTANT), fit.common(FRICTION), common_play, damping)
+    first, second, third = servos
+    return MeasuredServos(
+        **common,
+        friction_share=float(f"{fit.friction_share:.3g}"),
+        position_p_gain=gains.p,
+        position_i_gain=gains.i,
+        position_d_gain=gains.d,
+        servos=(first, second, third),
+    )
+
+
+def _numbers(*pairs: tuple[float, float]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    names = "stiffness", "torque_constant", "friction", "backlash", "damping"
+    for name, (value, error) in zip(names, pairs, strict=True):
+        known = math.isfinite(value)
+        found[name] = float(f"{value:.6g}") if known else None
+        found[f"{name}_error"] = float(f"{error:.3g}") if known else None
+    return found

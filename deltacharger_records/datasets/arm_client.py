@@ -32,7 +32,7 @@ from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.ros.messages import trajectory
 from deltacharger_kinematics import DeltaGeometry
 from deltacharger_kinematics.calibration.data import TICK, Encoder
-from deltacharger_kinematics.calibration.servo_arm import ArmReadings, whole_ticks
+from deltacharger_kinematics.calibration.servo_fit import ArmReadings, whole_ticks
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_kinematics.trajectory_feed import Waypoint

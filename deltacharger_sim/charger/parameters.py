@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 from deltacharger_core.bounded_file import given_path
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.parameters import Bounded, choice, entries, flag, number, pose, words
-from deltacharger_kinematics.geometry import DeltaGeometry
-from deltacharger_kinematics.geometry_file import load_geometry
+from deltacharger_kinematics.geometry import DeltaGeometry, load_geometry
 from deltacharger_sim.charger.faults import Fault
 from deltacharger_sim.pads import ContactSource
 from deltacharger_sim.parameters import WorldParameters

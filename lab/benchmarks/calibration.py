@@ -15,11 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from deltacharger_kinematics import Delta, DeltaGeometry
-from deltacharger_kinematics.calibration.calibrate import fit
+from deltacharger_kinematics.calibration.calibrate import COUNT, Uncertainty, fit, numbers, rms, with_numbers
 from deltacharger_kinematics.calibration.data import TICK, Encoder, Measurements
-from deltacharger_kinematics.calibration.plan import plan
-from deltacharger_kinematics.calibration.problem import COUNT, Uncertainty, numbers, rms, with_numbers
-from deltacharger_kinematics.calibration.recording import PoseRecording
+from deltacharger_kinematics.calibration.plan import PoseRecording, plan
 
 NOMINAL = DeltaGeometry()
 STATED = Uncertainty()

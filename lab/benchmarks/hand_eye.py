@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_bringup.cli.camera_views import ViewsFolder, view_places
+from deltacharger_kinematics.calibration.calibrate import COUNT, Uncertainty, numbers, with_numbers
 from deltacharger_kinematics.calibration.data import TICK
-from deltacharger_kinematics.calibration.problem import COUNT, Uncertainty, numbers, with_numbers
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_vision.hand_eye.board import AprilTag, Board, Charuco

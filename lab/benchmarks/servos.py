@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deltacharger_core.machine import SERVO_STIFFNESS, TORQUE_CONSTANT
-from deltacharger_kinematics.calibration.servo_arm import WEIGHT_TOLERANCE, ServoTask
+from deltacharger_kinematics.calibration.servo_fit import WEIGHT_TOLERANCE, ServoTask
 from deltacharger_kinematics.calibration.servo_procedure import measure_servos
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_sim.parameters import ServoParameters, TargetParameters, UnprovenWarning, WorldParameters

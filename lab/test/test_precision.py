@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from deltacharger_kinematics import WORKING_MODES, Delta, DeltaGeometry, Status
-from deltacharger_kinematics.exact.precise import exact_discriminant
+from deltacharger_kinematics.exact import exact_discriminant
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_lab.reports.kinematics import sets
 from deltacharger_lab.reports.kinematics.reference import ExactDelta

@@ -12,11 +12,10 @@ import pytest
 
 from deltacharger_core.parameters import from_mapping
 from deltacharger_kinematics import Delta, DeltaGeometry
+from deltacharger_kinematics.calibration.calibrate import COUNT, Uncertainty, numbers, rms, with_numbers
 from deltacharger_kinematics.calibration.data import Encoder
-from deltacharger_kinematics.calibration.plan import plan
-from deltacharger_kinematics.calibration.problem import COUNT, Uncertainty, numbers, rms, with_numbers
-from deltacharger_kinematics.calibration.recording import PoseRecording
-from deltacharger_kinematics.geometry_file import load_geometry
+from deltacharger_kinematics.calibration.plan import PoseRecording, plan
+from deltacharger_kinematics.geometry import load_geometry
 
 from .command import Capture, answer, refuses, run
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from deltacharger_core.yaml_file import YamlError, read_yaml, write_yaml
-from deltacharger_kinematics.geometry_file import load_geometry
+from deltacharger_kinematics.geometry import load_geometry
 from deltacharger_scenes.scene import load_scene
 from deltacharger_tactile.calibration.rig import TactileCalibration
 from deltacharger_vision.cameras.ros_formats import load_camera_info

@@ -11,20 +11,20 @@ import numpy as np
 import pytest
 
 from deltacharger_kinematics import Delta, DeltaGeometry
-from deltacharger_kinematics.calibration.calibrate import calibrate, find_outliers, fit
-from deltacharger_kinematics.calibration.data import TICK, Encoder, Measurements, read_measurements
-from deltacharger_kinematics.calibration.plan import plan, read_plan, write_plan
-from deltacharger_kinematics.calibration.problem import (
+from deltacharger_kinematics.calibration.calibrate import (
     COUNT,
     Problem,
     Uncertainty,
+    calibrate,
+    find_outliers,
+    fit,
     numbers,
     rms,
     with_numbers,
 )
-from deltacharger_kinematics.calibration.recording import PoseRecording
-from deltacharger_kinematics.calibration.table import CalibrationError
-from deltacharger_kinematics.geometry_file import load_geometry, save_geometry
+from deltacharger_kinematics.calibration.data import TICK, CalibrationError, Encoder, Measurements, read_measurements
+from deltacharger_kinematics.calibration.plan import PoseRecording, plan, read_plan, write_plan
+from deltacharger_kinematics.geometry import load_geometry, save_geometry
 
 from ..marks import night, rest
 

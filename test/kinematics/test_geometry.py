@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from deltacharger_kinematics import DeltaGeometry, LimbAdjustment
-from deltacharger_kinematics.geometry_file import load_geometry, save_geometry
+from deltacharger_kinematics.geometry import load_geometry, save_geometry
 
 CALIBRATED = DeltaGeometry(
     arm=0.1002,
@@ -105,7 +105,7 @@ class NumpyAlone:
 sys.meta_path.insert(0, NumpyAlone())
 from deltacharger_kinematics import Delta
 from deltacharger_kinematics.scalar import ScalarDelta
-import deltacharger_kinematics.geometry_file
+import deltacharger_kinematics.geometry
 assert abs(Delta().forward(Delta().inverse([0.0, 0.01, 0.06]).angles).position - [0.0, 0.01, 0.06]).max() < 1e-9
 """
     subprocess.run([sys.executable, "-c", program], check=True, cwd=Path(__file__).parents[2])

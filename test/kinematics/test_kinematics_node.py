@@ -22,7 +22,7 @@ from std_msgs.msg import Header
 from deltacharger_core.machine import GRAVITY, TORQUE_CONSTANT
 from deltacharger_docking.ros.docking_node import DockingNode
 from deltacharger_kinematics import Delta, Status, kinematics_node
-from deltacharger_kinematics.geometry_file import load_geometry
+from deltacharger_kinematics.geometry import load_geometry
 from deltacharger_kinematics.kinematics_node import KinematicsNode
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import qos

@@ -15,7 +15,7 @@ from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_kinematics import Delta, DeltaGeometry, KinematicsError, Status
 from deltacharger_kinematics.geometry import LimbAdjustment
 from deltacharger_kinematics.line import PEAK_SPEED, REFUSED, ArmLimits, Line, LineRefused, plan_line
-from deltacharger_kinematics.modes import KNEE_OUT
+from deltacharger_kinematics.status import KNEE_OUT
 from deltacharger_sim.parameters import ServoParameters
 
 from ..marks import night

@@ -14,20 +14,28 @@ import pytest
 
 from deltacharger_core.machine import GRAVITY, TORQUE_CONSTANT
 from deltacharger_kinematics.calibration.data import TICK
-from deltacharger_kinematics.calibration.servo_arm import (
+from deltacharger_kinematics.calibration.servo_fit import (
+    CONSTANT,
+    FRICTION,
+    STIFFNESS,
     ArmReadings,
     ServoTask,
     ServoTrouble,
     StaticReading,
+    fit_servos,
+    loads_at,
+    stiffness_by_ticks,
     whole_ticks,
 )
-from deltacharger_kinematics.calibration.servo_checks import Gains, differing, doubts, to_file
-from deltacharger_kinematics.calibration.servo_fit import CONSTANT, FRICTION, STIFFNESS, fit_servos, loads_at
-from deltacharger_kinematics.calibration.servo_plan import PosePlanner, ServoModel
-from deltacharger_kinematics.calibration.servo_play import torque_swept
-from deltacharger_kinematics.calibration.servo_procedure import MeasuredArm, measure_servos
-from deltacharger_kinematics.calibration.servo_ticks import stiffness_by_ticks
-from deltacharger_kinematics.calibration.servo_walk import eased
+from deltacharger_kinematics.calibration.servo_procedure import (
+    Gains,
+    MeasuredArm,
+    differing,
+    doubts,
+    measure_servos,
+    to_file,
+)
+from deltacharger_kinematics.calibration.servo_walk import PosePlanner, ServoModel, eased, torque_swept
 from deltacharger_kinematics.delta import Delta
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_sim.parameters import ServoParameters, TargetParameters, WorldParameters

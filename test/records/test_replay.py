@@ -30,8 +30,7 @@ from deltacharger_core.machine import JOINTS
 from deltacharger_core.mcap_file import Raw
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_kinematics.geometry import DeltaGeometry, LimbAdjustment
-from deltacharger_kinematics.geometry_file import save_geometry
+from deltacharger_kinematics.geometry import DeltaGeometry, LimbAdjustment, save_geometry
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_records.node_parameters import docking_settings, known_settings, with_geometry
 from deltacharger_records.recording import mcap_recording

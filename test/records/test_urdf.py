@@ -17,8 +17,7 @@ import yaml
 from numpy.typing import NDArray
 
 from deltacharger_kinematics import Delta, DeltaGeometry
-from deltacharger_kinematics.geometry import LimbAdjustment
-from deltacharger_kinematics.geometry_file import save_geometry
+from deltacharger_kinematics.geometry import LimbAdjustment, save_geometry
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_records.view.shapes import ROD_SPACING, SIDES, camera, moving, passive_joints, platform
 from deltacharger_vision.mount import Mount, look_at

@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 
 from deltacharger_bringup.cli.main import main
 from deltacharger_docking.codes import State
-from deltacharger_kinematics.geometry import DeltaGeometry
-from deltacharger_kinematics.geometry_file import save_geometry
+from deltacharger_kinematics.geometry import DeltaGeometry, save_geometry
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_records.raw_topics import Topic
 from deltacharger_ros import qos

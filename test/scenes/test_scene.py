@@ -15,7 +15,7 @@ import pytest
 from deltacharger_bringup.cli.main import main
 from deltacharger_bringup.cli.scene import describe
 from deltacharger_core.parameters import declared
-from deltacharger_kinematics.geometry_file import load_geometry
+from deltacharger_kinematics.geometry import load_geometry
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.following import SIMULATED_TARGET
 from deltacharger_scenes.node_table import NODES

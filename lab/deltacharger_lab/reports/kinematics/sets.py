@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from deltacharger_core.arrays import Array, Mask
 from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.geometry import LimbAdjustment
-from deltacharger_kinematics.limb_arrays import LimbArrays
-from deltacharger_kinematics.modes import KNEE_OUT
+from deltacharger_kinematics.solve import LimbArrays
+from deltacharger_kinematics.status import KNEE_OUT
 from deltacharger_lab.reports.kinematics.reference import ExactDelta
 
 _STEPS = np.array(list(itertools.product(range(-4, 5), repeat=3)), dtype=np.float64)  # units in the last place tried

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Inverse kinematics of many points in plain doubles, and in double-double if doubles are not precise enough.
+"""Inverse and forward kinematics of arrays of poses, and the flags of their results.
 
-`deltacharger_kinematics.delta` explains the formulas. A point is solved again by `exact.precise` if some limb's √Q is
+Inverse kinematics of many points in plain doubles, and in double-double if doubles are not precise enough.
+`deltacharger_kinematics.delta` explains the formulas. A point is solved again by `exact.py` if some limb's √Q is
 small relative to the terms whose difference it is. There the plain angle loses digits, and nearer to the edge of reach
 rounding may change the sign of Q, which decides whether the point is reachable.
 """
@@ -15,14 +16,110 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array, Mask
-from deltacharger_kinematics.exact.precise import DOUBTFUL_ROOT, HOPELESS, solve_limb
-from deltacharger_kinematics.flags import ALL_LIMBS, WarningFlags, limb_flag
-from deltacharger_kinematics.geometry import DeltaGeometry
-from deltacharger_kinematics.limb_arrays import LimbArrays
-from deltacharger_kinematics.status import Status
-from deltacharger_kinematics.vectors import determinant
+from deltacharger_kinematics.exact import DOUBTFUL_ROOT, HOPELESS, solve_limb
+from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry
+from deltacharger_kinematics.status import COLLINEAR, NEAR_TYPE_1, NEAR_TYPE_2, Status
+
+
+def dot(a: Array, b: Array) -> Array:
+    """Return the scalar products (...)."""
+    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+
+
+def cross(a: Array, b: Array) -> Array:
+    """Return the vector products (3, ...)."""
+    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+def determinant(rows: Array) -> Array:
+    """Return the determinants (n,) of the matrices whose three rows are rows[:, i, :]."""
+    (x0, x1, x2), (y0, y1, y2), (z0, z1, z2) = rows
+    return np.asarray(x0 * (y1 * z2 - z1 * y2) + y0 * (z1 * x2 - x1 * z2) + z0 * (x1 * y2 - y1 * x2))
+
+
+class LimbArrays:
+    """Columns of one geometry; names as in `deltacharger_kinematics.delta` (m, rad).
+
+    Attributes:
+        knee: −1 (knee out) or +1 per limb, σ of the formulas.
+    """
+
+    def __init__(self, geometry: DeltaGeometry, working_mode: tuple[int, int, int]) -> None:
+        self.limbs = tuple(geometry.limb(index) for index in range(LIMB_COUNT))
+
+        def column(name: str) -> Array:
+            return np.array([[getattr(limb, name)] for limb in self.limbs])
+
+        self.cosine, self.sine = column("cosine"), column("sine")
+        self.difference, self.tangential = column("difference"), column("tangential_offset")
+        self.motor_height, self.height_offset = column("motor_height"), column("height_offset")
+        self.arm, self.rod = column("arm"), column("rod")
+        self.angle_offset = column("angle_offset")
+        self.knee = np.array([[float(side)] for side in working_mode])
+
+    def elbows(self, cosine: Array, sine: Array) -> tuple[Array, Array, Array]:
+        """Return x, y, z (3, n) of the elbows in delta_motor, minus the platform radius.
+
+        Args:
+            cosine: cosine of the true arm angles (3, n).
+            sine: sine of the true arm angles (3, n).
+        """
+        radius = self.difference + self.arm * cosine
+        x = radius * self.cosine - self.tangential * self.sine
+        y = radius * self.sine + self.tangential * self.cosine
+        return x, y, self.arm * sine + self.height_offset
+
 
 Bits = NDArray[np.uint32]
+
+ALL_LIMBS = np.uint32(Status.LIMB_0 | Status.LIMB_1 | Status.LIMB_2)
+_LIMB_BITS = np.array([[Status.LIMB_0], [Status.LIMB_1], [Status.LIMB_2]], dtype=np.uint32)
+
+
+def limb_flag(mask: Mask, flag: Status) -> Bits:
+    """Return (n,) `flag` with the bits of the limbs whose `mask` (3, n) is set; 0 if none is set."""
+    if not mask.any():
+        return np.zeros(mask.shape[1], dtype=np.uint32)
+    bits = (mask * _LIMB_BITS).sum(axis=0, dtype=np.uint32)
+    return np.asarray(np.where(bits != 0, bits | np.uint32(flag), bits), dtype=np.uint32)
+
+
+def point_flag(mask: Mask, flag: Status) -> Bits:
+    """Return `flag` (n,) where `mask` (n,) is set."""
+    return mask * np.uint32(flag)
+
+
+class WarningFlags:
+    """The limits of one geometry; arrays have one column per point."""
+
+    def __init__(self, geometry: DeltaGeometry, arrays: LimbArrays, assembly: int) -> None:
+        self._joint_min, self._joint_max = geometry.joint_min, geometry.joint_max
+        self._root = 2.0 * arrays.rod * NEAR_TYPE_1 * arrays.arm
+        self._across = arrays.rod * np.sin(geometry.swing_max)
+        self._assembly = float(assembly)
+        self._determinant = NEAR_TYPE_2 * float(np.prod(arrays.rod))
+        self._low = np.array(geometry.workspace_min)[:, None]
+        self._high = np.array(geometry.workspace_max)[:, None]
+
+    def check(self, points: Array, angles: Array, root: Array, across: Array, determinant: Array) -> Bits:
+        """Return the warnings (n,); none for points whose determinant is NaN.
+
+        Args:
+            points: (3 axes, n) m in charger_base.
+            angles: (3 limbs, n) commanded, rad.
+            root: (3, n) √Q = 2 · rod · lever, m².
+            across: (3, n) component of the rods normal to their arms' planes, m.
+            determinant: (n,) determinant of the rod vectors, m³.
+        """
+        bits = limb_flag(root < self._root, Status.NEAR_TYPE_1)
+        bits |= limb_flag((angles < self._joint_min) | (angles > self._joint_max), Status.JOINT_LIMIT)
+        bits |= limb_flag(np.abs(across) > self._across, Status.SWING_LIMIT)
+        outside = ((points < self._low) | (points > self._high)).any(axis=0)
+        bits |= point_flag(np.asarray(outside), Status.OUTSIDE_WORKSPACE)
+        bits |= point_flag(self._assembly * determinant < 0.0, Status.WRONG_ASSEMBLY)
+        bits |= point_flag(np.abs(determinant) < self._determinant, Status.NEAR_TYPE_2)
+        return np.where(np.isnan(determinant), np.uint32(0), bits)
+
 
 CHUNK = 8192  # points; larger chunks exceed the caches, smaller ones have more call overhead
 LARGEST = 1e6  # robot sizes; a point farther away is out of reach regardless of rounding
@@ -216,3 +313,81 @@ class InverseSolver:
         np.multiply(arrays.sine, outward, out=y)
         y += np.multiply(arrays.cosine, limbs.v, out=limbs.spare)
         return rods
+
+
+class ForwardSolver:
+    """Position, status and determinant for joint angles, in chunks."""
+
+    def __init__(self, geometry: DeltaGeometry, working_mode: tuple[int, int, int], assembly: int) -> None:
+        self._geometry = geometry
+        self._arrays = arrays = LimbArrays(geometry, working_mode)
+        self._warnings = WarningFlags(geometry, arrays, assembly)
+        self._rods_squared = [float(limb.rod) ** 2 for limb in arrays.limbs]
+        self._scale = float(np.prod(arrays.rod))
+        self._assembly = float(assembly)
+
+    def solve(self, angles: Array) -> tuple[Array, Bits, Array]:
+        """Return positions (n, 3), status (n,) and determinants (n,) of the unit rod vectors for `angles` (n, 3)."""
+        positions = np.empty(angles.shape)
+        status = np.empty(len(angles), dtype=np.uint32)
+        determinants = np.empty(len(angles))
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore", under="ignore"):
+            for start in range(0, len(angles), CHUNK):
+                part = slice(start, start + CHUNK)
+                positions[part], status[part], determinants[part] = self._chunk(np.ascontiguousarray(angles[part].T))
+        return positions, status, determinants
+
+    def _chunk(self, angles: Array) -> tuple[Array, Bits, Array]:
+        arrays = self._arrays
+        turned = angles + arrays.angle_offset
+        cosine, sine = np.cos(turned), np.sin(turned)
+        elbows = np.stack(arrays.elbows(cosine, sine))
+        apart = elbows - elbows[:, :1]
+        offset, collinear, height = self._intersect(apart)
+        finite = np.isfinite(angles).all(axis=0)
+        bits = np.where(
+            finite,
+            point_flag(collinear, Status.DEGENERATE) | point_flag(~collinear & (height < 0.0), Status.NOT_ASSEMBLABLE),
+            np.uint32(Status.INVALID_INPUT),
+        )
+        position = elbows[:, 0] + offset
+        position[2] -= self._geometry.z_offset
+        rods = offset[:, None] - apart  # not from position, which has lost digits by adding the first elbow
+        det = determinant(rods)
+        solved = bits == 0
+        if not solved.all():
+            position[:, ~solved] = det[~solved] = np.nan
+        root = 2.0 * np.abs(self._lever(rods, cosine, sine))
+        bits |= self._warnings.check(position, angles, root, self._across(rods), det)
+        return position.T, bits, det / self._scale
+
+    def _intersect(self, apart: Array) -> tuple[Array, Mask, Array]:
+        """Return the intersection of the spheres about elbows 0, 1 and 2.
+
+        Args:
+            apart: elbows (3 axes, 3 limbs, n) relative to the first.
+
+        Returns:
+            the point (3, n) relative to the first elbow; whether the elbows are collinear (n,); the squared height (n,)
+            of the point above their plane, negative if the rods are too short.
+        """
+        a, b = apart[:, 1], apart[:, 2]
+        normal = cross(a, b)
+        aa, bb, square = dot(a, a), dot(b, b), dot(normal, normal)
+        r0, r1, r2 = self._rods_squared
+        extent = np.maximum(aa, bb)
+        collinear = square <= COLLINEAR**2 * extent * np.maximum(extent, r0)
+        along_a, along_b = 0.5 * (aa + (r0 - r1)) / square, 0.5 * (bb + (r0 - r2)) / square
+        foot = along_a * cross(b, normal) + along_b * cross(normal, a)
+        height = r0 - dot(foot, foot)
+        return foot + self._assembly * np.sqrt(height / square) * normal, np.asarray(collinear), height
+
+    def _lever(self, rods: Array, cosine: Array, sine: Array) -> Array:
+        """Return rod length times lever (3, n): the rod's component along the elbow's motion, times the arm."""
+        arrays = self._arrays
+        outward = arrays.cosine * rods[0] + arrays.sine * rods[1]
+        return np.asarray(arrays.arm * (cosine * rods[2] - sine * outward))
+
+    def _across(self, rods: Array) -> Array:
+        """Return the rods' component (3, n) normal to the planes of their arms."""
+        return np.asarray(self._arrays.cosine * rods[1] - self._arrays.sine * rods[0])
