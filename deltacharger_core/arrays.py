@@ -12,7 +12,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_core.bounded_file import FileRefused, open_file, parse_json, size_text
+from deltacharger_core.files import FileRefused, open_file, parse_json, size_text
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]

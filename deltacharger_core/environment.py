@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Environment variables that the executables set for themselves unless the user has set them."""
+"""Environment variables that the executables set for themselves unless the user has set them; the version."""
 
 from __future__ import annotations
 
@@ -156,3 +156,13 @@ def domain(variables: Mapping[str, str] = os.environ) -> int:
         return int(variables.get(_DOMAIN, "") or 0)
     except ValueError:
         return 0
+
+
+def package_version() -> str:
+    """Return the version; 'unknown' in a colcon workspace, which installs no metadata."""
+    from importlib.metadata import PackageNotFoundError, version  # here, because the import takes 20 ms
+
+    try:
+        return version("deltacharger")
+    except PackageNotFoundError:
+        return "unknown"

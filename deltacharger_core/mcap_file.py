@@ -16,8 +16,8 @@ from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from deltacharger_core.bounded_file import open_file
-from deltacharger_core.picklable import Picklable
+from deltacharger_core.files import open_file
+from deltacharger_core.texts import Picklable
 
 CUT_SHORT = "the file ends early: its recorder was stopped"
 """Reason for a truncated but otherwise valid file."""

@@ -17,9 +17,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
-from deltacharger_core.bounded_file import brief
-from deltacharger_core.picklable import Picklable
-from deltacharger_core.units import ON_ROBOT, outside
+from deltacharger_core.files import brief
+from deltacharger_core.texts import ON_ROBOT, Picklable, outside
 
 T = TypeVar("T")
 

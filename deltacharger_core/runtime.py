@@ -10,7 +10,7 @@ import stat
 from collections.abc import Iterator
 from pathlib import Path
 
-from deltacharger_core.picklable import Picklable
+from deltacharger_core.texts import Picklable
 
 CONTROL = "control"
 """Name of a simulated charger's command socket, beside its ports."""

@@ -13,10 +13,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from deltacharger_core.bounded_file import LARGEST_TEXT, FileRefused, brief, read_bytes
-from deltacharger_core.files import write_text
+from deltacharger_core.files import LARGEST_TEXT, FileRefused, brief, read_bytes, write_text
 from deltacharger_core.parameters import ParameterError, from_mapping
-from deltacharger_core.picklable import Picklable
+from deltacharger_core.texts import Picklable
 
 T = TypeVar("T")
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass, fields
 from enum import Enum
 from typing import Any
 
-from deltacharger_core.units import IN_TOUCH, untouchable
+from deltacharger_core.texts import IN_TOUCH, untouchable
 from deltacharger_docking.parameters import DockingParameters
 
 # From leaning contacts of the world and of the pose model at up to 5°, then seed 5.

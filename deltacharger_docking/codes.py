@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-from deltacharger_core.picklable import Picklable
+from deltacharger_core.texts import Picklable
 from deltacharger_kinematics.geometry import Vector
 
 

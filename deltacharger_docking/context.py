@@ -11,8 +11,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from deltacharger_core.charge_port import ChargeLimits
-from deltacharger_core.machine import ORDER_AGE_MAX
+from deltacharger_core.machine import ORDER_AGE_MAX, ChargeLimits
 from deltacharger_core.script import NEXT, Calls, Script, Wait
 from deltacharger_docking.arm import Planner, RemainingShare
 from deltacharger_docking.codes import (

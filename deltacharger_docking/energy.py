@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 
-from deltacharger_core.charge_port import ChargeLimits, Port, port_of
+from deltacharger_core.machine import ChargeLimits, Port, port_of
 from deltacharger_core.script import NEXT, Script, Wait
 from deltacharger_docking.clearance import LEAN_SIGMAS
 from deltacharger_docking.codes import (

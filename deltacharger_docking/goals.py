@@ -9,8 +9,7 @@ from dataclasses import replace
 
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.parameters import did_you_mean
-from deltacharger_core.texts import wrong_id
-from deltacharger_core.units import far, outside
+from deltacharger_core.texts import far, outside, wrong_id
 from deltacharger_docking.arm import Planner
 from deltacharger_docking.clearance import LEAN_SIGMAS
 from deltacharger_docking.codes import Code, DockingError, Misplaced, Rejected, Unreachable

@@ -9,8 +9,7 @@ from enum import Enum
 from typing import TypeVar
 
 from deltacharger_core.arrays import Array
-from deltacharger_core.charge_port import ChargeLimits
-from deltacharger_core.machine import DOCK_DISTANCE
+from deltacharger_core.machine import DOCK_DISTANCE, ChargeLimits
 from deltacharger_core.script import NEXT, Wait
 from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.codes import Code, DockingError, ServoFailure, ServoStale, State

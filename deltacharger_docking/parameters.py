@@ -19,8 +19,7 @@ from deltacharger_core.machine import (
     TORQUE_CONSTANT,
 )
 from deltacharger_core.parameters import Bounded, ParameterError, choice, number, numbers, pose, tunable, words
-from deltacharger_core.servo_types import MX_64, TYPES, ServoType, contact_band
-from deltacharger_core.servos_file import STIFFNESS_MAX, STIFFNESS_MIN
+from deltacharger_core.servo_types import MX_64, STIFFNESS_MAX, STIFFNESS_MIN, TYPES, ServoType, contact_band
 from deltacharger_kinematics.geometry import Vector
 
 POWERS = ("board", "none")

@@ -11,8 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from deltacharger_core.charge_port import LIVE_VOLTAGE
-from deltacharger_core.machine import LONGEST_LEASE, ZERO_CURRENT
+from deltacharger_core.machine import LIVE_VOLTAGE, LONGEST_LEASE, ZERO_CURRENT
 from deltacharger_docking.codes import (
     POWER_FAULTS,
     Astray,

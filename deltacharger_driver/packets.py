@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from deltacharger_core.picklable import Picklable
+from deltacharger_core.texts import Picklable
 
 _LONGEST_RUN = 254
 VERSION = 1

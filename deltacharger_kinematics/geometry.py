@@ -10,10 +10,10 @@ from numbers import Real
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from deltacharger_core.bounded_file import brief
+from deltacharger_core.files import brief
 from deltacharger_core.machine import JOINT_MAX, JOINT_MIN
 from deltacharger_core.parameters import Bounded, ParameterError, number, numbers
-from deltacharger_core.units import outside
+from deltacharger_core.texts import outside
 from deltacharger_core.yaml_file import YamlError, read_declared, write_yaml
 
 Vector = tuple[float, float, float]

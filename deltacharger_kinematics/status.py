@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from enum import IntFlag
 from typing import Any
 
-from deltacharger_core.picklable import Picklable
+from deltacharger_core.texts import Picklable
 
 
 class Status(IntFlag):

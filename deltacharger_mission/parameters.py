@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 
 from deltacharger_core.parameters import Bounded, choice, like, tunable, words
-from deltacharger_core.units import ON_MAP, ON_ROBOT
+from deltacharger_core.texts import ON_MAP, ON_ROBOT
 from deltacharger_docking.parameters import DockingNodeParameters
 
 

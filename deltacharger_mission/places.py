@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from deltacharger_core.rotation import rotation
+from deltacharger_core.frames import rotation
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_mission.parameters import MissionParameters
 

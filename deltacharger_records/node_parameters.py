@@ -11,7 +11,7 @@ from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 
-from deltacharger_core.bounded_file import given_path, parse_json
+from deltacharger_core.files import given_path, parse_json
 from deltacharger_core.mcap_file import McapFile, RecordingError
 from deltacharger_core.parameters import from_mapping
 from deltacharger_docking.parameters import DockingParameters

@@ -14,7 +14,7 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.time import Time
 
-from deltacharger_core.host_clock import HOST, HostClock
+from deltacharger_core.real_time import HOST, HostClock
 from deltacharger_ros.messages import seconds
 
 NO_TIME_YET = "use_sim_time is set, but no message arrived on /clock: start its publisher, or set use_sim_time to false"

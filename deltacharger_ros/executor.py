@@ -21,7 +21,7 @@ from rclpy.node import Node
 from rclpy.task import Future, Task
 
 from deltacharger_core.environment import refuse_ros
-from deltacharger_core.host_clock import HOST
+from deltacharger_core.real_time import HOST
 from deltacharger_ros.clock import ANOTHER_CLOCK
 
 try:

@@ -24,9 +24,8 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.time import Time
 
-from deltacharger_core.frames import CHARGER_BASE, LONGEST, TransformParameters
-from deltacharger_core.rotation import IDENTITY, Pose, apart, composed
-from deltacharger_core.units import far
+from deltacharger_core.frames import CHARGER_BASE, IDENTITY, LONGEST, Pose, TransformParameters, apart, composed
+from deltacharger_core.texts import far
 from deltacharger_ros.clock import steady_timer
 from deltacharger_ros.log import Log
 from deltacharger_ros.on_demand import PolledTopic

@@ -12,8 +12,7 @@ from deltacharger.action import Dock
 from deltacharger.msg import Misalignment
 from std_msgs.msg import Header
 
-from deltacharger_core.frames import END_EFFECTOR
-from deltacharger_core.rotation import lean, rotation
+from deltacharger_core.frames import END_EFFECTOR, lean, rotation
 from deltacharger_ros.outcomes import Outcome, Pose, Progress
 
 _CODE_NAMES = """

@@ -13,8 +13,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
 from deltacharger_core import environment, signals, streams
-from deltacharger_core.exit_timer import exit_within
-from deltacharger_core.real_time import take_priority
+from deltacharger_core.real_time import exit_within, take_priority
 from deltacharger_ros.executor import Spinner
 from deltacharger_ros.log import Log
 

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from deltacharger_core.frames import CHARGER_BASE
-from deltacharger_core.quantity import figure
+from deltacharger_core.texts import figure
 
 
 def place(x: float, y: float, z: float, roll: float) -> str:

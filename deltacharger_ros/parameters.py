@@ -18,9 +18,9 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from deltacharger_core.bounded_file import given_path
+from deltacharger_core.files import given_path
 from deltacharger_core.parameters import Declaration, ParameterError, declared, did_you_mean
-from deltacharger_core.servos_file import MeasuredServos, ServosFileParameters, load_servos
+from deltacharger_core.servo_types import MeasuredServos, ServosFileParameters, load_servos
 from deltacharger_core.yaml_file import read_yaml
 from deltacharger_ros.log import Log
 from deltacharger_ros.node_support import StartupError

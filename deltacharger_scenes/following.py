@@ -7,7 +7,7 @@ import operator
 from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
-from deltacharger_core.bounded_file import brief
+from deltacharger_core.files import brief
 from deltacharger_core.machine import POSITION_P_GAIN
 from deltacharger_sim.parameters import WorldParameters
 

@@ -56,7 +56,7 @@ class NodeSpec:
 
 _GEOMETRY = "deltacharger_kinematics.parameters.GeometryFileParameters"
 
-_SERVOS = "deltacharger_core.servos_file.ServosFileParameters"
+_SERVOS = "deltacharger_core.servo_types.ServosFileParameters"
 _FRAMES = "deltacharger_core.frames.FrameParameters"
 _JOINT_FRAMES = "deltacharger_core.frames.JointFrameParameters"
 _TRANSFORMS = "deltacharger_core.frames.TransformParameters"

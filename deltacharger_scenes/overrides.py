@@ -12,7 +12,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from deltacharger_core.bounded_file import given_path
+from deltacharger_core.files import given_path
 from deltacharger_core.frames import JointFrameParameters
 from deltacharger_core.parameters import ParameterError, declared, words
 from deltacharger_scenes.node_table import NODES

@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
 from deltacharger_core import environment
-from deltacharger_core.bounded_file import brief
+from deltacharger_core.files import brief
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.parameters import Bounded, ParameterError, choice, did_you_mean, from_mapping, number, words
-from deltacharger_core.picklable import Picklable
+from deltacharger_core.texts import Picklable
 from deltacharger_core.yaml_file import YamlError, read_yaml
 from deltacharger_scenes.following import SIMULATED_TARGET, followed
 from deltacharger_scenes.node_table import NODES

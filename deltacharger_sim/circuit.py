@@ -11,7 +11,7 @@ from functools import cached_property
 from typing import Any
 
 from deltacharger_core import environment
-from deltacharger_core.charge_port import LIVE_VOLTAGE
+from deltacharger_core.machine import LIVE_VOLTAGE
 from deltacharger_core.yaml_file import read_yaml
 from deltacharger_driver.emulators.power import Outputs, PortParameters, StageParameters, StageReading, TargetPort
 from deltacharger_sim.parameters import CircuitParameters, TerminalParameters

@@ -7,7 +7,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 
-from deltacharger_core.picklable import Picklable
+from deltacharger_core.texts import Picklable
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_sim.pads import Lean
 from deltacharger_sim.parameters import WorldParameters

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from deltacharger_core.arrays import LARGEST_DATASET, Array, Mask, NpzError, read_npz
 from deltacharger_core.machine import COLUMNS, PADS, ROWS
-from deltacharger_core.units import IN_TOUCH, outside
+from deltacharger_core.texts import IN_TOUCH, outside
 from deltacharger_tactile.errors import DatasetError
 
 SUBSET_CONTINUOUS, SUBSET_ANGLE, SUBSET_POSITION = -1, 0, 1

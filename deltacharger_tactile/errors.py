@@ -5,8 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from deltacharger_core.picklable import Picklable
-from deltacharger_core.texts import cut
+from deltacharger_core.texts import Picklable, cut
 
 
 class TactileError(Picklable):

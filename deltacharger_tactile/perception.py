@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from deltacharger_core.arrays import Array
-from deltacharger_core.host_clock import COMPARE_CLOCKS
 from deltacharger_core.machine import FRAME_RATE
+from deltacharger_core.real_time import COMPARE_CLOCKS
 from deltacharger_tactile import MODEL_PATH
 from deltacharger_tactile.calibration.rig import TactileCalibration
 from deltacharger_tactile.classifiers import classifier

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from deltacharger_core.picklable import Picklable
+from deltacharger_core.texts import Picklable
 
 
 class VisionError(Picklable):

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.arrays import ArrayError, read_array
-from deltacharger_core.bounded_file import FileRefused, open_file, read_bytes
+from deltacharger_core.files import FileRefused, open_file, read_bytes
 from deltacharger_vision.errors import ImageError
 from deltacharger_vision.images import COLOR, DEPTH, MILLIMETRE, Intrinsics, RgbdImage
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array
-from deltacharger_core.bounded_file import brief
+from deltacharger_core.files import brief
 from deltacharger_vision.errors import CameraInfoError, ImageError
 
 COLOR, DEPTH, INFO = "color", "depth", "info"

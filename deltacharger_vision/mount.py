@@ -17,11 +17,10 @@ from typing import Any
 import numpy as np
 
 from deltacharger_core.arrays import Array
-from deltacharger_core.bounded_file import brief
-from deltacharger_core.frames import CAMERA, CHARGER_BASE
+from deltacharger_core.files import brief
+from deltacharger_core.frames import CAMERA, CHARGER_BASE, rotation
 from deltacharger_core.machine import DOCK_DISTANCE
-from deltacharger_core.rotation import rotation
-from deltacharger_core.units import ON_ROBOT, far, outside
+from deltacharger_core.texts import ON_ROBOT, far, outside
 from deltacharger_core.yaml_file import YamlError, read_yaml, write_yaml
 from deltacharger_vision.errors import MountError
 from deltacharger_vision.terminal import Detection, cross_matrix, transform

@@ -13,7 +13,7 @@ from typing import Any
 
 from dynamixel_sdk import PacketHandler, PortHandler
 
-from deltacharger_core.charge_port import port_of
+from deltacharger_core.machine import port_of
 from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.emulators.bench import BenchArm, BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator

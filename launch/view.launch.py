@@ -15,7 +15,7 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch_ros.actions import Node
 
 from deltacharger_bringup.launch_arguments import MODEL, VIEW, given, in_launch, refuse_unknown_arguments
-from deltacharger_core.bounded_file import given_path
+from deltacharger_core.files import given_path
 from deltacharger_kinematics.geometry import load_geometry
 from deltacharger_vision.mount import Mount
 from launch import LaunchContext, LaunchDescription

@@ -13,7 +13,7 @@ from deltacharger.action import ChargeRobot
 from deltacharger.msg import ServoState
 
 from deltacharger_core.machine import JOINTS
-from deltacharger_core.units import IN_TOUCH, ON_MAP, ON_ROBOT, far, outside, untouchable
+from deltacharger_core.texts import IN_TOUCH, ON_MAP, ON_ROBOT, far, outside, untouchable
 from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.codes import DockingError
 from deltacharger_docking.machine import DockingMachine

@@ -26,8 +26,8 @@ from deltacharger_bringup.cli.output import (
 )
 from deltacharger_bringup.cli.web_viewer import WebAddress
 from deltacharger_core import streams
-from deltacharger_core.units import ON_ROBOT
-from deltacharger_core.version import package_version
+from deltacharger_core.environment import package_version
+from deltacharger_core.texts import ON_ROBOT
 
 DEFAULT_SCENE = "simulated"
 _PICTURES = (".png", ".pdf", ".svg", ".jpg", ".jpeg")

@@ -17,7 +17,7 @@ from deltacharger_bringup.cli.calibrate_kinematics import geometry_of
 from deltacharger_bringup.cli.camera_views import VIEWS, SeenViews, ViewsError, gather, read_pixels, read_rows
 from deltacharger_bringup.cli.charger import prepare, ros_context
 from deltacharger_bringup.cli.output import CommandError, Interrupts, Result, WrongInput, conclude, wrong_input
-from deltacharger_core.bounded_file import sha256
+from deltacharger_core.files import sha256
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.parameters import ParameterError
 from deltacharger_kinematics.calibration.data import MILLIMETRE

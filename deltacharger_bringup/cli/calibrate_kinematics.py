@@ -30,7 +30,7 @@ from deltacharger_bringup.cli.output import (
     log_line,
     wrong_input,
 )
-from deltacharger_core.bounded_file import sha256
+from deltacharger_core.files import sha256
 from deltacharger_kinematics.calibration.calibrate import (
     NAMES,
     GeometryCalibration,

@@ -15,7 +15,7 @@ from deltacharger_bringup.cli.calibrate_kinematics import geometry_of
 from deltacharger_bringup.cli.charger import DISCOVERY, prepare, ros_context
 from deltacharger_bringup.cli.output import CommandError, Interrupts, Result, Tenths, conclude, log_line
 from deltacharger_core.parameters import ParameterError
-from deltacharger_core.servos_file import MeasuredServos, save_servos, servos_to_mapping
+from deltacharger_core.servo_types import MeasuredServos, save_servos, servos_to_mapping
 from deltacharger_kinematics.calibration.servo_fit import CONSTANT, FRICTION, STIFFNESS, ServoTask, ServoTrouble
 from deltacharger_kinematics.calibration.servo_procedure import (
     Gains,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from deltacharger_bringup.cli.arguments import file_to_read, file_to_write, integer
 from deltacharger_bringup.cli.output import Result, WrongInput, conclude, wrong_input
-from deltacharger_core.bounded_file import sha256
+from deltacharger_core.files import sha256
 from deltacharger_tactile import MODEL_PATH
 from deltacharger_tactile.calibration import fit as sensor_calibration_fit
 from deltacharger_tactile.calibration import fit as sensor_faults

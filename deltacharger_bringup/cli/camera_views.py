@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.files import append_text
-from deltacharger_core.picklable import Picklable
+from deltacharger_core.texts import Picklable
 from deltacharger_core.yaml_file import write_yaml
 from deltacharger_kinematics.calibration.data import DEGREES, POSITION_COLUMNS, RADIANS, CalibrationError, read_table
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector

@@ -40,7 +40,7 @@ from deltacharger_bringup.cli.output import (
     log_line,
 )
 from deltacharger_core import environment
-from deltacharger_core.quantity import figure
+from deltacharger_core.texts import figure
 from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, Progress, place
 
 if TYPE_CHECKING:

@@ -39,7 +39,7 @@ from deltacharger_bringup.cli.output import (
 from deltacharger_bringup.cli.scene import load_for_command
 from deltacharger_bringup.cli.web_viewer import WebAddress, WebViewer
 from deltacharger_core import environment
-from deltacharger_core.bounded_file import given_path
+from deltacharger_core.files import given_path
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_scenes.scene import Scene

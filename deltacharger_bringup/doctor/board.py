@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 
 from deltacharger_bringup.doctor.findings import Finding, failed, hint, ok, wrong
-from deltacharger_core.charge_port import Port, port_of
-from deltacharger_core.machine import BATTERY_MAX, BATTERY_MIN, CONTACT_FORCE
+from deltacharger_core.machine import BATTERY_MAX, BATTERY_MIN, CONTACT_FORCE, Port, port_of
 from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.board.protocol import (
     HEARTBEAT_PERIOD,

@@ -21,8 +21,8 @@ from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory
 
 from deltacharger_core import runtime
+from deltacharger_core.environment import package_version
 from deltacharger_core.frames import END_EFFECTOR, TransformParameters
-from deltacharger_core.version import package_version
 from deltacharger_docking.codes import Canceled, Code, State
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import Command, DockingOutcome, Observation, Request, Service

@@ -19,9 +19,9 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
-from deltacharger_core.host_clock import AHEAD, COMPARE_CLOCKS, HOST, HostClock
 from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, JOINTS, PADS, ROWS, in_words
-from deltacharger_core.units import outside
+from deltacharger_core.real_time import AHEAD, COMPARE_CLOCKS, HOST, HostClock
+from deltacharger_core.texts import outside
 from deltacharger_docking.observation import Observation, Reply
 from deltacharger_ros.clock import ANOTHER_CLOCK, ClockWatch, age
 from deltacharger_ros.duplicates import Duplicates

@@ -15,8 +15,8 @@ from deltacharger.msg import ElectrodeDetection, Misalignment
 from geometry_msgs.msg import PoseStamped
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from deltacharger_core.frames import IDENTITY, Matrix, composed, inverted, lean, rotation
 from deltacharger_core.machine import JOINTS
-from deltacharger_core.rotation import IDENTITY, Matrix, composed, inverted, lean, rotation
 from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.codes import PoseUnknown, Rejected
 from deltacharger_docking.observation import BasePose, ElectrodePose

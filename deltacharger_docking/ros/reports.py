@@ -13,8 +13,7 @@ from deltacharger.msg import DockingDecision, DockingState
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from deltacharger_core.quantity import figure, quantity
-from deltacharger_core.texts import passage
+from deltacharger_core.texts import figure, passage, quantity
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.observation import Decision, DockingStatus, Observation
 from deltacharger_docking.ros.inputs import SOURCES, Refusals

@@ -16,9 +16,8 @@ from deltacharger.srv import DetectElectrodes, PredictMisalignment, Probe, SetCo
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
-from deltacharger_core.charge_port import ChargeLimits
 from deltacharger_core.frames import END_EFFECTOR
-from deltacharger_core.machine import LONGEST_LEASE
+from deltacharger_core.machine import LONGEST_LEASE, ChargeLimits
 from deltacharger_core.texts import cut
 from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.observation import Reply, Request, Service

@@ -16,8 +16,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
 
-from deltacharger_core.charge_port import ChargeLimits
-from deltacharger_core.machine import CONTACT_FORCE, LONGEST_LEASE, PROBE_LIFETIME
+from deltacharger_core.machine import CONTACT_FORCE, LONGEST_LEASE, PROBE_LIFETIME, ChargeLimits
 from deltacharger_driver.board.protocol import (
     LIMITS,
     AckError,

@@ -11,8 +11,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-from deltacharger_core.charge_port import ChargeLimits
-from deltacharger_core.machine import BAUD_RATE, COLUMNS, ROWS
+from deltacharger_core.machine import BAUD_RATE, COLUMNS, ROWS, ChargeLimits
 from deltacharger_core.real_time import Lateness
 from deltacharger_driver.board.protocol import (
     CLEAR_WELD,

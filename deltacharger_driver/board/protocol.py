@@ -15,8 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from deltacharger_core.charge_port import ChargeLimits, Port, port_of
-from deltacharger_core.machine import COLUMNS, FRAME_RATE, ROWS, ZERO_CURRENT
+from deltacharger_core.machine import COLUMNS, FRAME_RATE, ROWS, ZERO_CURRENT, ChargeLimits, Port, port_of
 from deltacharger_driver.errors import DriverError
 from deltacharger_driver.packets import VERSION, Packet
 

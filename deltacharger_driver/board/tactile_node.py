@@ -27,12 +27,11 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from deltacharger_core import runtime
-from deltacharger_core.charge_port import port_of
 from deltacharger_core.environment import domain
 from deltacharger_core.frames import END_EFFECTOR, FrameParameters
-from deltacharger_core.host_clock import late
-from deltacharger_core.quantity import quantity
-from deltacharger_core.real_time import RateMeter, priority
+from deltacharger_core.machine import port_of
+from deltacharger_core.real_time import RateMeter, late, priority
+from deltacharger_core.texts import quantity
 from deltacharger_driver.board.contactor import STALE_FRAME, STALE_POWER, SharedCall
 from deltacharger_driver.board.keeper import BoardKeeper
 from deltacharger_driver.board.protocol import PowerSample, TactileSample

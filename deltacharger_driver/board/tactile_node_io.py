@@ -13,9 +13,8 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import BatteryState
 
-from deltacharger_core.charge_port import ChargeLimits
 from deltacharger_core.frames import CHARGER_BASE, END_EFFECTOR, FrameParameters
-from deltacharger_core.machine import COLUMNS, ROWS, ZERO_CURRENT
+from deltacharger_core.machine import COLUMNS, ROWS, ZERO_CURRENT, ChargeLimits
 from deltacharger_driver.board.protocol import PowerSample, TactileSample
 from deltacharger_ros.clock import Stamps
 from deltacharger_ros.qos import LATEST

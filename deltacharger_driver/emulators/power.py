@@ -14,8 +14,7 @@ from enum import Enum
 from statistics import fmean
 from typing import NamedTuple, Protocol
 
-from deltacharger_core.charge_port import LIVE_VOLTAGE, ChargeLimits
-from deltacharger_core.machine import BATTERY_MAX, BATTERY_MIN, PROBE_LIFETIME, ZERO_CURRENT
+from deltacharger_core.machine import BATTERY_MAX, BATTERY_MIN, LIVE_VOLTAGE, PROBE_LIFETIME, ZERO_CURRENT, ChargeLimits
 from deltacharger_core.parameters import Bounded, flag, number
 from deltacharger_driver.board.protocol import (
     HEARTBEAT_TIMEOUT,

@@ -17,8 +17,8 @@ from collections.abc import Callable
 from dataclasses import asdict
 from typing import NamedTuple, Protocol
 
-from deltacharger_core.host_clock import late
-from deltacharger_core.quantity import quantity
+from deltacharger_core.real_time import late
+from deltacharger_core.texts import quantity
 from deltacharger_driver.errors import DriverError, PortError, PortGone, TrajectoryRefused
 from deltacharger_driver.servos.bus import BusSnapshot, ServoBus
 from deltacharger_driver.servos.link import ServoPort

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
-from deltacharger_core.host_clock import AHEAD, COMPARE_CLOCKS
 from deltacharger_core.machine import (
     STRAY_BEHIND,
     STRAY_OUTSIDE,
     STRAYS,
 )
+from deltacharger_core.real_time import AHEAD, COMPARE_CLOCKS
 from deltacharger_driver.errors import TrajectoryRefused
 from deltacharger_driver.servos.registers import BusSettings, Drive
 

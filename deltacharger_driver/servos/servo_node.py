@@ -50,9 +50,8 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from deltacharger_core import runtime
 from deltacharger_core.environment import domain
 from deltacharger_core.frames import CHARGER_BASE, JointFrameParameters
-from deltacharger_core.host_clock import AHEAD
 from deltacharger_core.machine import BEHIND_BOARD, JOINTS, PROBE_LIFETIME, ZERO_CURRENT
-from deltacharger_core.real_time import RateMeter
+from deltacharger_core.real_time import AHEAD, RateMeter
 from deltacharger_core.servo_types import MX_64
 from deltacharger_driver.errors import DriverError, NoServosBehindBoard, TrajectoryRefused
 from deltacharger_driver.parameters import BOARD_MARGIN, OF_TYPE, SERVOS_FOLLOW, ServoNodeParameters

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from deltacharger_core.arrays import Array, Mask
-from deltacharger_core.bounded_file import FileRefused, read_bytes
+from deltacharger_core.files import FileRefused, read_bytes
 from deltacharger_core.machine import EXTENDED_TICKS, TICKS_PER_TURN
 
 Triple = tuple[int, int, int]

@@ -11,8 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deltacharger_core.bounded_file import read_bytes
-from deltacharger_core.files import append_text
+from deltacharger_core.files import append_text, read_bytes
 from deltacharger_kinematics.calibration.data import (
     AXES,
     HELD_OUT,

@@ -12,7 +12,7 @@ import numpy as np
 
 from deltacharger_core.arrays import Array
 from deltacharger_core.machine import POSITION_D_GAIN, POSITION_P_GAIN, SERVO_STIFFNESS, TORQUE_CONSTANT
-from deltacharger_core.servos_file import MeasuredServo, MeasuredServos
+from deltacharger_core.servo_types import MeasuredServo, MeasuredServos
 from deltacharger_kinematics.calibration.servo_fit import (
     CONSTANT,
     FRICTION,

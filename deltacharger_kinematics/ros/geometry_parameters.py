@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from rclpy.node import Node
 
-from deltacharger_core.bounded_file import given_path
+from deltacharger_core.files import given_path
 from deltacharger_kinematics.geometry import DeltaGeometry, load_geometry
 from deltacharger_kinematics.parameters import GeometryFileParameters
 from deltacharger_ros import node_support

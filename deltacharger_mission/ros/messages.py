@@ -10,10 +10,8 @@ from typing import Any
 from deltacharger.action import Dock
 from geometry_msgs.msg import PoseStamped
 
-from deltacharger_core.frames import END_EFFECTOR, LONGEST
-from deltacharger_core.rotation import Pose, composed, lean, rotation
-from deltacharger_core.texts import cut
-from deltacharger_core.units import ON_MAP, far
+from deltacharger_core.frames import END_EFFECTOR, LONGEST, Pose, composed, lean, rotation
+from deltacharger_core.texts import ON_MAP, cut, far
 from deltacharger_docking.codes import Code, Rejected, State
 from deltacharger_docking.observation import BasePose
 from deltacharger_docking.ros.messages import seen

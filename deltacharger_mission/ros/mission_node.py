@@ -20,8 +20,7 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 
 from deltacharger_core.frames import END_EFFECTOR, LONGEST, TransformParameters
-from deltacharger_core.quantity import quantity
-from deltacharger_core.texts import titled
+from deltacharger_core.texts import quantity, titled
 from deltacharger_docking.codes import Busy, Canceled, DockingError, Rejected
 from deltacharger_docking.ros.goals import MEASURED
 from deltacharger_docking.ros.messages import in_charger_base, refusal

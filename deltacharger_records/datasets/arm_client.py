@@ -25,7 +25,7 @@ from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
 from deltacharger_core.machine import in_words
-from deltacharger_core.servos_file import STIFFNESS_MAX, STIFFNESS_MIN
+from deltacharger_core.servo_types import STIFFNESS_MAX, STIFFNESS_MIN
 from deltacharger_docking.arm import Planner
 from deltacharger_docking.codes import Unreachable
 from deltacharger_docking.parameters import DockingParameters

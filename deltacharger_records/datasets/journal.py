@@ -23,10 +23,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.arrays import read_array
-from deltacharger_core.bounded_file import brief, parse_json, read_text
-from deltacharger_core.files import atomic_write, make_folder, remove_unfinished, write_text
+from deltacharger_core.environment import package_version
+from deltacharger_core.files import (
+    atomic_write,
+    brief,
+    make_folder,
+    parse_json,
+    read_text,
+    remove_unfinished,
+    write_text,
+)
 from deltacharger_core.mcap_file import McapFile, Raw, RecordingError
-from deltacharger_core.version import package_version
 from deltacharger_records.datasets.session import SETS, SUBSETS, Part
 from deltacharger_records.raw_topics import Topic
 from deltacharger_records.recording.mcap_recording import McapWriter

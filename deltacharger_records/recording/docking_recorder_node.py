@@ -19,10 +19,10 @@ from deltacharger.action import Dock, Undock
 from rclpy.node import Node
 
 from deltacharger_core import environment
-from deltacharger_core.bounded_file import given_path
-from deltacharger_core.host_clock import HOST
+from deltacharger_core.environment import package_version
+from deltacharger_core.files import given_path
 from deltacharger_core.mcap_file import Raw, RecordingError, require_mcap
-from deltacharger_core.version import package_version
+from deltacharger_core.real_time import HOST
 from deltacharger_records.node_parameters import ParameterReader
 from deltacharger_records.parameters import DockingRecorderNodeParameters
 from deltacharger_records.raw_topics import PolledTopics

@@ -20,8 +20,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
-from deltacharger_core.bounded_file import kind_text
-from deltacharger_core.files import flush, sync_folder
+from deltacharger_core.files import flush, kind_text, sync_folder
 from deltacharger_core.mcap_file import RecordingError, head_of
 
 SUFFIX, PARTIAL = ".mcap", ".mcap.partial"

@@ -21,7 +21,7 @@ from builtin_interfaces.msg import Time
 from rclpy.node import Node
 
 from deltacharger_core import environment
-from deltacharger_core.bounded_file import given_path
+from deltacharger_core.files import given_path
 from deltacharger_core.mcap_file import CUT_SHORT, RecordingError
 from deltacharger_records.parameters import RecordingPlayerNodeParameters
 from deltacharger_records.recording.mcap_recording import STATE, TOPICS, Recording, decode

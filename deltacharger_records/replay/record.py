@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from deltacharger_core.bounded_file import parse_json
+from deltacharger_core.files import parse_json
 from deltacharger_core.mcap_file import RecordingError
 from deltacharger_records.node_parameters import known_settings, recorded_settings
 from deltacharger_records.recording.folder import ABOUT, END, RESULT

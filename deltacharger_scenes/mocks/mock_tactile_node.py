@@ -34,9 +34,8 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from deltacharger_core.charge_port import port_of
 from deltacharger_core.frames import END_EFFECTOR, FrameParameters
-from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, GRAVITY, PADS, ROWS, TORQUE_CONSTANT
+from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, GRAVITY, PADS, ROWS, TORQUE_CONSTANT, port_of
 from deltacharger_driver.board.contactor import LeaseRefused
 from deltacharger_driver.board.protocol import Power, PowerSample, TactileSample
 from deltacharger_driver.board.tactile_node_io import BATTERY_PERIOD, BatteryPublishers, SamplePublishers, limits_of

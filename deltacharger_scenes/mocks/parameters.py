@@ -13,7 +13,7 @@ from deltacharger_core.machine import (
     STALL_CURRENT,
 )
 from deltacharger_core.parameters import Bounded, choice, number, words
-from deltacharger_core.units import ON_MAP
+from deltacharger_core.texts import ON_MAP
 
 SERVO_FAULTS = ("none", "silence", "nan_current", "missing", "hardware_error", "jam")
 POWER_FAULTS = (

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 
-from deltacharger_core.charge_port import ChargeLimits
+from deltacharger_core.machine import ChargeLimits
 from deltacharger_driver.board.contactor import ContactorLease, LeaseRefused
 from deltacharger_driver.board.protocol import BoardFault, clearing
 

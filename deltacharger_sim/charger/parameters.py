@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from deltacharger_core.bounded_file import given_path
+from deltacharger_core.files import given_path
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.parameters import Bounded, choice, entries, flag, number, pose, words
 from deltacharger_kinematics.geometry import DeltaGeometry, load_geometry

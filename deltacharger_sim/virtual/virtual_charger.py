@@ -17,7 +17,6 @@ from typing import Any, Protocol
 import numpy as np
 
 from deltacharger_core.arrays import Array
-from deltacharger_core.host_clock import late
 from deltacharger_core.machine import (
     COLUMNS,
     CONTACT_FORCE,
@@ -30,6 +29,7 @@ from deltacharger_core.machine import (
     SERVO_DAMPING,
     STIFFNESS_PER_GAIN,
 )
+from deltacharger_core.real_time import late
 from deltacharger_core.script import NEXT, Script
 from deltacharger_core.servo_types import MX_64
 from deltacharger_docking.clearance import MisalignmentEstimate

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from deltacharger_core.arrays import Array, Mask
-from deltacharger_core.bounded_file import brief
+from deltacharger_core.files import brief
 from deltacharger_core.machine import PADS
 from deltacharger_core.parameters import did_you_mean
 from deltacharger_core.yaml_file import YamlError, read_yaml, write_yaml

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_core.bounded_file import brief
+from deltacharger_core.files import brief
 from deltacharger_core.yaml_file import YamlError, read_yaml
 from deltacharger_vision.errors import CameraInfoError, ImageError
 from deltacharger_vision.images import Intrinsics

@@ -31,7 +31,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
 from deltacharger_core.frames import CHARGER_BASE, TransformParameters
-from deltacharger_core.quantity import quantity
+from deltacharger_core.texts import quantity
 from deltacharger_ros import node_support
 from deltacharger_ros.clock import age, steady_timer
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics

@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
-from deltacharger_core.bounded_file import brief
+from deltacharger_core.files import brief
 from deltacharger_vision import parameters as topics
 from deltacharger_vision.cameras.ros_formats import Readout, color_array, depth_array, from_camera_info
 from deltacharger_vision.errors import CameraInfoError, ImageError

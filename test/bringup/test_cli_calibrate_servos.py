@@ -17,7 +17,7 @@ import pytest
 import deltacharger_bringup.cli.calibrate_servos as command
 import deltacharger_records.datasets.arm_client as measuring
 from deltacharger_bringup.cli.output import FAILED, CommandError
-from deltacharger_core.servos_file import load_servos
+from deltacharger_core.servo_types import load_servos
 from deltacharger_kinematics.calibration.servo_procedure import Gains
 from deltacharger_kinematics.geometry import DeltaGeometry, save_geometry
 from deltacharger_records.datasets.arm_client import ArmError

@@ -7,7 +7,7 @@ from itertools import count
 
 import pytest
 
-from deltacharger_core.host_clock import HostClock
+from deltacharger_core.real_time import HostClock
 
 LEAD = 1.79e9  # s
 

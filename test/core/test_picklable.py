@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from deltacharger_core.bounded_file import FileRefused
+from deltacharger_core.files import FileRefused
 from deltacharger_core.parameters import ParameterError
 from deltacharger_driver.errors import PortMissing
 from deltacharger_tactile.errors import ModelError

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deltacharger_core.rotation import IDENTITY, Pose, apart, composed, inverted, lean, rotation
+from deltacharger_core.frames import IDENTITY, Pose, apart, composed, inverted, lean, rotation
 
 angles = st.floats(-1.4, 1.4)
 

@@ -121,7 +121,7 @@ HANGS = "import ctypes; ctypes.PyDLL(None).pause()"  # blocks for ever with Pyth
 
 
 def ended(limit: float, code: int, then: str) -> int:
-    program = f"from deltacharger_core.exit_timer import exit_within; exit_within({limit}, {code}); {then}"
+    program = f"from deltacharger_core.real_time import exit_within; exit_within({limit}, {code}); {then}"
     return subprocess.run([sys.executable, "-c", program], timeout=host(5.0), check=False).returncode
 
 

@@ -19,12 +19,11 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from deltacharger_core import host_clock
-from deltacharger_core.charge_port import ChargeLimits, Port
+from deltacharger_core import real_time
+from deltacharger_core.machine import ChargeLimits, Port
 from deltacharger_core.parameters import ParameterError, declared
 from deltacharger_core.script import NEXT
-from deltacharger_core.servo_types import MX_64, XM430_W350, ServoType
-from deltacharger_core.servos_file import MeasuredServo
+from deltacharger_core.servo_types import MX_64, XM430_W350, MeasuredServo, ServoType
 from deltacharger_docking import (
     algorithm,
     arm,
@@ -764,7 +763,7 @@ SERVOS = (
     *fields(follows, 3.99, (4.01, -0.01, NAN, INF), "torque"),
     *fields(follows, 1000, (1001,), "points"),
     *fields(follows, 0.49, (0.51, -0.51, NAN, INF), "age"),
-    Limit("order, s", lambda v: not host_clock.late(v), 1.99, 2.01, (NAN, INF)),
+    Limit("order, s", lambda v: not real_time.late(v), 1.99, 2.01, (NAN, INF)),
     *fields(measures, 1, (2,), "torque"),
     *fields(measures, 2047, (2048, -2048), "current"),
     *fields(measures, 40, (39, 0), "voltage"),

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from deltacharger_core.machine import POSITION_P_GAIN, SERVO_STIFFNESS, TORQUE_CONSTANT
-from deltacharger_core.servos_file import MeasuredServo, MeasuredServos, load_servos, save_servos
+from deltacharger_core.servo_types import MeasuredServo, MeasuredServos, load_servos, save_servos
 
 ONE = MeasuredServo(14.2, 0.3, 1.41, 0.03, 0.07, 0.002)
 WHOLE = MeasuredServos(

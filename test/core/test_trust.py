@@ -22,7 +22,7 @@ from typing import Any
 import pytest
 
 from deltacharger_core.arrays import LARGEST_MODEL, read_npz
-from deltacharger_core.bounded_file import parse_json, read_text
+from deltacharger_core.files import parse_json, read_text
 from deltacharger_core.mcap_file import McapFile
 from deltacharger_core.yaml_file import read_yaml
 from deltacharger_kinematics.calibration.data import read_measurements

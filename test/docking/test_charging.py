@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from deltacharger_core.charge_port import ChargeLimits
+from deltacharger_core.machine import ChargeLimits
 from deltacharger_docking import charging, context
 from deltacharger_docking.codes import Code, NoChargeCurrent
 from deltacharger_docking.observation import Observation

@@ -15,8 +15,8 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
+from deltacharger_core.frames import IDENTITY, product, rotation
 from deltacharger_core.parameters import ParameterError
-from deltacharger_core.rotation import IDENTITY, product, rotation
 from deltacharger_core.texts import MESSAGE_MAX
 from deltacharger_docking.arm import Planner
 from deltacharger_docking.codes import Rejected

@@ -25,8 +25,8 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from deltacharger_core.rotation import Pose as Numbers
-from deltacharger_core.rotation import composed
+from deltacharger_core.frames import Pose as Numbers
+from deltacharger_core.frames import composed
 from deltacharger_docking import energy
 from deltacharger_ros import qos
 from deltacharger_ros.frames import installed

@@ -19,8 +19,8 @@ from rclpy.duration import Duration
 from rclpy.serialization import serialize_message
 from rclpy.time import Time
 
-from deltacharger_core.host_clock import HostClock
 from deltacharger_core.machine import JOINTS
+from deltacharger_core.real_time import HostClock
 from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.observation import Observation, Reply
 from deltacharger_docking.ros.inputs import FrameCheck, Heard

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from deltacharger_core.charge_port import ChargeLimits
+from deltacharger_core.machine import ChargeLimits
 from deltacharger_docking.codes import Code, Rejected, State
 from deltacharger_docking.observation import DockGoal, DockingOutcome, Reply, Service
 from deltacharger_docking.parameters import DockingParameters, TargetProfile

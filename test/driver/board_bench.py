@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from deltacharger_core.charge_port import ChargeLimits
+from deltacharger_core.machine import ChargeLimits
 from deltacharger_driver.board.protocol import (
     Ack,
     PacketType,

@@ -17,7 +17,7 @@ from unittest.mock import Mock
 import pytest
 import serial
 
-from deltacharger_core.charge_port import ChargeLimits
+from deltacharger_core.machine import ChargeLimits
 from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.board.protocol import (
     MINOR,

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from deltacharger_core.charge_port import ChargeLimits
+from deltacharger_core.machine import ChargeLimits
 from deltacharger_driver.board import protocol
 from deltacharger_driver.board.protocol import (
     FULL_SCALE,

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from deltacharger_core.charge_port import ChargeLimits
+from deltacharger_core.machine import ChargeLimits
 from deltacharger_driver.board.contactor import ContactorGuard, ContactorLease, LeaseRefused
 from deltacharger_driver.board.protocol import (
     BoardFault,

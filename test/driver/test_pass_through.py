@@ -19,8 +19,8 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool
 
 from deltacharger_core import runtime
-from deltacharger_core.charge_port import ChargeLimits
 from deltacharger_core.environment import domain
+from deltacharger_core.machine import ChargeLimits
 from deltacharger_driver.board.protocol import LONGEST_SERVO, PacketType
 from deltacharger_driver.board.tactile_node import TactileNode
 from deltacharger_driver.emulators.bench import BenchArm, BenchPlant

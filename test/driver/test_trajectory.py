@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from deltacharger_core.host_clock import AHEAD
+from deltacharger_core.real_time import AHEAD
 from deltacharger_driver.errors import DriverError, TrajectoryRefused
 from deltacharger_driver.servos.motion import (
     FRESH,

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from deltacharger_core.charge_port import ChargeLimits
+from deltacharger_core.machine import ChargeLimits
 from deltacharger_driver.board.protocol import (
     Ack,
     PacketType,

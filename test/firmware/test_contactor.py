@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import pytest
 
-from deltacharger_core.charge_port import Port, port_of
+from deltacharger_core.machine import Port, port_of
 from deltacharger_driver.board.protocol import AckError, BoardFault, PacketType, encode_close, probe_problem
 
 from .bench import LIMITS, MS, STRONG, Bench, S, acks

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from deltacharger_core import charge_port, machine
+from deltacharger_core import machine
 from deltacharger_driver.board import protocol
 
 from ..marks import night
@@ -40,7 +40,7 @@ def test_the_core_includes_no_hardware_and_calls_nothing_but_memory_functions() 
 def test_firmware_and_host_have_the_same_constants() -> None:
     text = "".join(path.read_text() for path in CORE.glob("*.h"))
     written = {name: float(value) for name, value in re.findall(r"#define DC_(\w+) ([\d.]+)[uf]?\b", text)}
-    host = vars(protocol) | vars(machine) | vars(charge_port)
+    host = vars(protocol) | vars(machine)
     shared = {name: value for name, value in written.items() if name in host}
     assert shared == {name: host[name] for name in shared}
     assert shared.keys() >= {"ROWS", "COLUMNS", "CONTACT_FORCE", "FULL_SCALE", "DEFAULT_RATE", "MINOR", "SERVO_MINOR"}

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from deltacharger_core.charge_port import Port, port_of
+from deltacharger_core.machine import Port, port_of
 
 from .build import FIRMWARE, make, once
 

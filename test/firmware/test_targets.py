@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from deltacharger_core.charge_port import ChargeLimits
+from deltacharger_core.machine import ChargeLimits
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_driver.board.protocol import (
     AckError,

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from deltacharger_core.rotation import Pose, composed, inverted, rotation
+from deltacharger_core.frames import Pose, composed, inverted, rotation
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.observation import BasePose, ElectrodePose
 from deltacharger_mission.dialogue import (

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from deltacharger_core.frames import Pose, composed
 from deltacharger_core.machine import DOCK_DISTANCE
-from deltacharger_core.rotation import Pose, composed
 from deltacharger_docking.codes import Busy, Canceled, Code, Rejected, State
 from deltacharger_docking.observation import BasePose, ElectrodePose
 from deltacharger_mission.dialogue import DockingReport, End, MissionGoal, Stage, Task, TaskReply, TaskRequest

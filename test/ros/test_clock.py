@@ -10,7 +10,7 @@ from builtin_interfaces.msg import Time as Stamp
 from rclpy.clock import Clock, ClockType, ROSClock
 from rclpy.time import Time
 
-from deltacharger_core.host_clock import HostClock
+from deltacharger_core.real_time import HostClock
 from deltacharger_ros.clock import Stamps
 from deltacharger_ros.messages import seconds
 

@@ -19,8 +19,7 @@ from deltacharger.msg import ElectrodeDetection
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 
-from deltacharger_core.frames import TransformParameters
-from deltacharger_core.rotation import IDENTITY, Pose, apart, composed, inverted, rotation
+from deltacharger_core.frames import IDENTITY, Pose, TransformParameters, apart, composed, inverted, rotation
 from deltacharger_docking.parameters import DockingNodeParameters
 from deltacharger_docking.ros.messages import electrodes, in_charger_base, seen
 from deltacharger_ros import frames as frames_module

@@ -11,9 +11,16 @@ import pytest
 from deltacharger.srv import DetectElectrodes
 from rclpy.node import Node
 
-from deltacharger_core.charge_port import ChargeLimits, Port, port_of
-from deltacharger_core.machine import DOCK_DISTANCE, GRAVITY, SERVO_STIFFNESS, TORQUE_CONSTANT
-from deltacharger_core.rotation import rotation
+from deltacharger_core.frames import rotation
+from deltacharger_core.machine import (
+    DOCK_DISTANCE,
+    GRAVITY,
+    SERVO_STIFFNESS,
+    TORQUE_CONSTANT,
+    ChargeLimits,
+    Port,
+    port_of,
+)
 from deltacharger_driver.board.contactor import LeaseRefused
 from deltacharger_driver.board.protocol import BoardFault
 from deltacharger_kinematics.scalar import ScalarDelta

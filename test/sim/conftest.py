@@ -8,8 +8,7 @@ from collections.abc import Callable
 
 import pytest
 
-from deltacharger_core.charge_port import ChargeLimits
-from deltacharger_core.machine import TORQUE_CONSTANT
+from deltacharger_core.machine import TORQUE_CONSTANT, ChargeLimits
 from deltacharger_driver.emulators.power import EmulatedPower
 from deltacharger_kinematics.geometry import LIMB_DIRECTIONS, Vector
 from deltacharger_kinematics.scalar import ScalarDelta

@@ -8,8 +8,7 @@ from typing import Any
 
 import pytest
 
-from deltacharger_core.charge_port import Port, port_of
-from deltacharger_core.machine import BATTERY_MAX, BATTERY_MIN
+from deltacharger_core.machine import BATTERY_MAX, BATTERY_MIN, Port, port_of
 from deltacharger_driver.emulators.power import Outputs, PortParameters, StageParameters
 from deltacharger_sim.circuit import Circuit, Overlap
 from deltacharger_sim.parameters import CircuitParameters, TerminalParameters

@@ -13,8 +13,8 @@ from builtin_interfaces.msg import Time
 from hypothesis import given
 from hypothesis import strategies as st
 
+from deltacharger_core.frames import rotation
 from deltacharger_core.parameters import ParameterError
-from deltacharger_core.rotation import rotation
 from deltacharger_vision.errors import MountError, TerminalError
 from deltacharger_vision.mount import Mount, Placed, is_front, leaning_normal, line_angle, look_at, quaternion
 from deltacharger_vision.ros.messages import detection_message

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
-from deltacharger_core.bounded_file import brief
+from deltacharger_core.files import brief
 from deltacharger_core.machine import CONTACT_FORCE, DOCK_DISTANCE, GRAVITY, GRAVITY_STRENGTH
 from deltacharger_core.parameters import Declaration, ParameterError, declared, did_you_mean, from_mapping, number
 from deltacharger_docking.parameters import DockingParameters

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from deltacharger_core.bounded_file import brief
+from deltacharger_core.files import brief
 from deltacharger_core.parameters import Declaration, ParameterError, did_you_mean
 from deltacharger_core.yaml_file import read_yaml
 from deltacharger_lab.campaigns.keys import DERIVED, TAKEN, known_keys, refuse_contradictions

@@ -19,9 +19,8 @@ import pyarrow
 from pyarrow import compute, parquet
 
 from deltacharger_core import environment
-from deltacharger_core.bounded_file import brief, open_file, parse_json, read_text
-from deltacharger_core.files import atomic_write, remove_unfinished, write_text
-from deltacharger_core.version import package_version
+from deltacharger_core.environment import package_version
+from deltacharger_core.files import atomic_write, brief, open_file, parse_json, read_text, remove_unfinished, write_text
 from deltacharger_lab.campaigns.docking import columns
 from deltacharger_lab.campaigns.scene import CampaignScene, parse_campaign_scene
 

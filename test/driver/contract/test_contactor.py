@@ -8,8 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from deltacharger_core.charge_port import ChargeLimits
-from deltacharger_core.machine import PROBE_LIFETIME
+from deltacharger_core.machine import PROBE_LIFETIME, ChargeLimits
 from deltacharger_driver.board.protocol import (
     HEARTBEAT_TIMEOUT,
     POWER_RATE,
