@@ -11,10 +11,9 @@ from typing import Any
 
 from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, Result, wrong_input
 from deltacharger_core.parameters import Declaration, declaration
-from deltacharger_scenes.following import contradictions, servos_apart
 from deltacharger_scenes.node_table import NODES
-from deltacharger_scenes.parameter_check import problems
-from deltacharger_scenes.scene import Scene, SceneError, load_scene, packaged_scenes
+from deltacharger_scenes.overrides import problems
+from deltacharger_scenes.scene import Scene, SceneError, contradictions, load_scene, packaged_scenes, servos_apart
 from deltacharger_sim.parameters import doubts
 
 

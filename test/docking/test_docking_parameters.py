@@ -19,7 +19,7 @@ from deltacharger_docking.parameters import DockingNodeParameters, DockingParame
 from deltacharger_docking.ros.docking_node import DockingNode
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_mission.parameters import MissionNodeParameters, MissionParameters
-from deltacharger_scenes.parameter_check import problems
+from deltacharger_scenes.overrides import problems
 from deltacharger_scenes.scene import parse_scene
 
 from ..nodes import options

@@ -24,9 +24,9 @@ from deltacharger_core.machine import (
 from deltacharger_driver.board.contactor import LeaseRefused
 from deltacharger_driver.board.protocol import BoardFault
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_scenes.mocks.arm import MockArm
 from deltacharger_scenes.mocks.mock_detector_node import MockDetectorNode
-from deltacharger_scenes.mocks.power import CHARGE_CURRENT, MockPower
+from deltacharger_scenes.mocks.mock_servo_node import MockArm
+from deltacharger_scenes.mocks.mock_tactile_node import CHARGE_CURRENT, MockPower
 
 from ..chargers import DEADLINE, Spin
 from ..nodes import call, options

@@ -17,11 +17,9 @@ from deltacharger_bringup.cli.scene import describe
 from deltacharger_core.parameters import declared
 from deltacharger_kinematics.geometry import load_geometry
 from deltacharger_scenes.composition import Composition
-from deltacharger_scenes.following import SIMULATED_TARGET
 from deltacharger_scenes.node_table import NODES
-from deltacharger_scenes.overrides import RECORDER, Overrides, override
-from deltacharger_scenes.parameter_check import problems, tables
-from deltacharger_scenes.scene import SceneError, Simulation, load_scene, packaged_scenes, parse_scene
+from deltacharger_scenes.overrides import RECORDER, Overrides, override, problems, tables
+from deltacharger_scenes.scene import SIMULATED_TARGET, SceneError, Simulation, load_scene, packaged_scenes, parse_scene
 from deltacharger_sim.parameters import WorldParameters
 
 
@@ -246,7 +244,7 @@ def test_nodes_that_move_or_carry_current_do_not_restart() -> None:
 HEAVY = """
 import sys
 from deltacharger_scenes.node_table import NODES
-from deltacharger_scenes.parameter_check import tables
+from deltacharger_scenes.overrides import tables
 assert all(tables(name) for name in NODES)
 sys.exit(sorted({"rclpy", "cv2", "depthai", "mujoco", "serial", "matplotlib", "scipy"} & set(sys.modules)) or None)
 """
