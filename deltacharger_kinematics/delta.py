@@ -118,7 +118,7 @@ class Delta:
 
     Args:
         geometry: dimensions; None = the defaults.
-        working_mode: side of each knee, −1 out, +1 in; `modes.WORKING_MODES` lists all eight.
+        working_mode: side of each knee, −1 out, +1 in; `status.WORKING_MODES` lists all eight.
         assembly: +1 with the platform ahead of the elbows, −1 the mirror assembly.
 
     Raises:

@@ -21,7 +21,7 @@ from deltacharger_core.parameters import Bounded, ParameterError, choice, did_yo
 from deltacharger_core.texts import Picklable
 from deltacharger_core.yaml_file import YamlError, read_yaml
 from deltacharger_scenes.node_table import NODES
-from deltacharger_sim.charger.parameters import Simulation
+from deltacharger_sim.charger.simulation import Simulation
 from deltacharger_sim.parameters import WorldParameters
 
 _GRAVITY = ("gravity_x", "gravity_y", "gravity_z")

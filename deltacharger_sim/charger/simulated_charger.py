@@ -24,7 +24,7 @@ from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.ports import ByteDevice, PseudoTerminal
 from deltacharger_sim.charger.fault_channel import SOCKET, ControlServer, Registration, answer
 from deltacharger_sim.charger.faults import Faults, Hardware
-from deltacharger_sim.charger.parameters import Simulation
+from deltacharger_sim.charger.simulation import Simulation
 from deltacharger_sim.world import SharedWorld
 
 _log = logging.getLogger(__name__)

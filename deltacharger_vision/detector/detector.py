@@ -27,24 +27,22 @@ from deltacharger_vision.detector.fit import by_spacing, on_plane
 from deltacharger_vision.detector.judgement import (
     CLEAR_MISFIT,
     DEPTH_AGREEMENT,
+    DEPTH_RISE,
+    END_SEEN,
     EXPECTED_RISE,
     FARTHEST_TARGET,
     FOCAL_ERROR,
+    LARGEST_SCATTER,
     NEAREST_TARGET,
+    SIDE_SEEN,
+    SIDES_SEEN,
     Candidate,
     Explanation,
     Judge,
     agree,
-)
-from deltacharger_vision.detector.plane import Plane, fit_plane
-from deltacharger_vision.detector.support import (
-    DEPTH_RISE,
-    END_SEEN,
-    LARGEST_SCATTER,
-    SIDE_SEEN,
-    SIDES_SEEN,
     outline_shares,
 )
+from deltacharger_vision.detector.plane import Plane, fit_plane
 from deltacharger_vision.errors import CameraInfoError
 from deltacharger_vision.images import DEPTH_BIAS, LIGHT, NEAREST_DEPTH, Intrinsics, RgbdImage, check_lens, project
 from deltacharger_vision.mount import line_angle

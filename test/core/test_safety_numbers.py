@@ -63,7 +63,7 @@ from deltacharger_mission.machine import MissionMachine
 from deltacharger_mission.parameters import MissionParameters
 from deltacharger_mission.places import BaseMount, Place
 from deltacharger_tactile import estimator, perception
-from deltacharger_vision.detector.support import supported
+from deltacharger_vision.detector.judgement import supported
 from deltacharger_vision.errors import VisionError
 from deltacharger_vision.mount import Mount
 

@@ -20,8 +20,8 @@ import serial
 from deltacharger_driver.packets import PING
 from deltacharger_scenes.scene import parse_scene
 from deltacharger_sim.charger.faults import KINDS, FaultOrder, Hardware
-from deltacharger_sim.charger.parameters import Simulation
 from deltacharger_sim.charger.simulated_charger import SimulatedCharger
+from deltacharger_sim.charger.simulation import Simulation
 
 from ..chargers import Process, wait_until
 from ..driver.servo_host import Host
