@@ -5,19 +5,20 @@ from __future__ import annotations
 
 import math
 import os
-import zipfile
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.files import FileRefused, open_file, parse_json, size_text
 
+if TYPE_CHECKING:
+    import zipfile
+
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
-
 
 _LONGEST_HEADER = 10_000  # characters, as numpy has it
 _MOST_AXES = 8
@@ -96,6 +97,8 @@ def read_npz(path: str | Path, header: str, largest: int) -> tuple[dict[str, Any
         FileNotFoundError: no such file.
         NpzError: another format, damaged, too large, or contains Python objects.
     """
+    import zipfile  # here, because nodes that read no such file do without its 10 ms
+
     try:
         with open_file(path, largest) as file, zipfile.ZipFile(file) as archive:
             arrays = _arrays(archive, min(largest, _SMALL + _DENSEST * os.fstat(file.fileno()).st_size))
@@ -117,6 +120,8 @@ def read_npz(path: str | Path, header: str, largest: int) -> tuple[dict[str, Any
 
 def holds_array(path: str | Path, name: str) -> bool:
     """Whether a file is an npz file with this array; False also if it is missing or unreadable."""
+    import zipfile
+
     try:
         with open_file(path, LARGEST_DATASET) as file, zipfile.ZipFile(file) as archive:
             return f"{name}.npy" in archive.namelist()

@@ -6,12 +6,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from deltacharger_core.machine import (
-    CURRENT_BOUND,
-    DOCK_DISTANCE,
-    FRAME_RATE,
-    STALL_CURRENT,
-)
+from deltacharger_core.machine import CURRENT_BOUND, DOCK_DISTANCE, FRAME_RATE, STALL_CURRENT
 from deltacharger_core.parameters import Bounded, choice, number, words
 from deltacharger_core.texts import ON_MAP
 
