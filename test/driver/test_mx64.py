@@ -8,7 +8,7 @@ import math
 import pytest
 
 from deltacharger_core.machine import POSITION_P_GAIN, SERVO_STIFFNESS, STIFFNESS_PER_GAIN
-from deltacharger_core.servo_types import MX_64
+from deltacharger_core.servo_types import MX_64, TYPES, ServoType
 from deltacharger_driver import ports
 from deltacharger_driver.errors import RangeError
 from deltacharger_driver.servos import registers
@@ -52,11 +52,13 @@ def test_angle_convention() -> None:
     assert abs(registers.ticks_to_angle(registers.angle_to_ticks(0.3, 2048, 1), 2048, 1) - 0.3) <= TICK / 2
 
 
-def test_a_bound_is_never_rounded_up() -> None:
-    for tenth_milliampere in range(0, 42_000, 7):
+@pytest.mark.parametrize("kind", TYPES.values(), ids=lambda kind: kind.name)
+def test_a_bound_is_never_rounded_up(kind: ServoType) -> None:
+    for tenth_milliampere in range(0, int(1e4 * kind.largest_current), 7):
         current = tenth_milliampere * 1e-4
-        assert registers.current_to_counts(current, MX_64) * MX_64.current_unit <= current + 1e-9
-        assert registers.current_to_counts(-current, MX_64) == -registers.current_to_counts(current, MX_64)
+        counts = registers.current_to_counts(current, kind)
+        assert current - kind.current_unit < counts * kind.current_unit <= current + 1e-9
+        assert registers.current_to_counts(-current, kind) == -counts
 
 
 def test_registers_refuse_too_large_numbers() -> None:

@@ -34,9 +34,10 @@ from deltacharger_driver.servos.registers import BusSettings
 from deltacharger_driver.servos.servo_node import ServoNode
 from deltacharger_ros.node_support import StartupError
 
-from ..behind_board import BehindEmulator
+from ..behind_board import BehindEmulator, BehindFirmware
 from ..chargers import patience
 from ..emulated_ports import Babbler
+from ..marks import rest
 from ..nodes import answer, options
 from ..quick import PATIENT_MARGIN
 from ..waiting import host, wait_until
@@ -46,9 +47,10 @@ pytestmark = pytest.mark.ros
 ANGLES, CURRENTS = (-0.7, -0.5, 0.2), (0.3, 0.3, 0.3)
 
 
-def test_bytes_pass_unchanged() -> None:
+@pytest.mark.parametrize("kind", [BehindEmulator, rest(BehindFirmware)])
+def test_bytes_pass_unchanged(kind: type[BehindEmulator]) -> None:
     echo, source = Babbler(), random.Random(24)
-    with BehindEmulator(echo) as terminal, open_serial(terminal.path, 1_000_000) as line:
+    with kind(echo) as terminal, open_serial(terminal.path, 1_000_000) as line:
         for size in (1, 10, LONGEST_SERVO, LONGEST_SERVO + 1, 1000):
             sent, back = source.randbytes(size), bytearray()
             line.write(sent)

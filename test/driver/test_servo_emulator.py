@@ -110,17 +110,6 @@ def test_a_checksum_that_completes_a_header_is_no_header(host: Host) -> None:
     assert completed
 
 
-def test_measurements_in_register_units(host: Host) -> None:
-    host.write(1, "operating_mode", 5)
-    host.write(1, "torque_enable", 1)
-    host.arm.load[0] = -0.6
-    host.advance(2.0)
-    assert host.read(1, "present_position") == 2048 + round(host.arm.angles[0] / TICK)
-    assert host.read(1, "present_current") * MX_64.current_unit == pytest.approx(0.41, abs=0.01)
-    assert host.read(1, "input_voltage") == 120
-    assert host.read(1, "temperature") == 30
-
-
 def test_the_goal_is_held_within_the_goal_current(host: Host) -> None:
     host.write(2, "operating_mode", 5)
     assert host.arm.commands[1] is None or not host.arm.commands[1][0]

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-import random
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
@@ -13,8 +12,6 @@ import pytest
 
 from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_driver.emulators.servo import OK, RANGE, RESULT_FAIL
-from deltacharger_driver.emulators.servo_bus import collide
-from deltacharger_driver.errors import DriverError
 from deltacharger_driver.packets import BROADCAST, PING, READ, REBOOT, SYNC_READ, SYNC_WRITE, WRITE
 from deltacharger_driver.servos.controller import RefusedTrajectories, bus_entry
 from deltacharger_driver.servos.registers import REGISTERS, indirect_address, indirect_data
@@ -95,22 +92,6 @@ def test_the_watchdog_stops_the_servo_and_locks_its_goals(host: Host) -> None:
     assert host.write(1, "goal_position", 2048) == OK
 
 
-def test_unknown_faults_and_servos_are_named(host: Host) -> None:
-    with pytest.raises(DriverError, match="explode"):
-        host.bus.faults.next_reply("explode", 1)
-    with pytest.raises(DriverError, match="7"):
-        host.bus.servo(7)
-
-
-def test_a_delayed_reply_is_sent_when_due(host: Host) -> None:
-    host.bus.faults.delay = 0.05
-    assert host.send(1, PING) == b""
-    assert host.bus.next_event(host.now) == pytest.approx(0.05)
-    assert host.advance(0.049) == b""
-    assert parse(host.advance(0.002))
-    assert host.bus.next_event(host.now) == math.inf
-
-
 def test_the_supply_sags_under_load_and_the_error_that_this_latches_stays(host: Host) -> None:
     host.arm.supply_resistance = 0.5
     torque_on(host, 1, 2)
@@ -144,28 +125,12 @@ def test_replies_of_two_servos_with_one_id_collide(host: Host) -> None:
     assert [host.read(servo, "led") for servo in (1, 2, 3)] == [1, 0, 1]
 
 
-def test_in_a_collision_zero_bits_override_ones() -> None:
-    for seed in range(20):
-        source = random.Random(seed)
-        first, second = source.randbytes(14), source.randbytes(9)
-        assert collide(first, b"", source) == first
-        assert collide(first, b"\xff", source)  # at least a start bit collides
-        both = collide(first, second, source)
-        assert both != first
-        assert 0 < len(both) <= len(first) + 1
-
-
 def test_an_armed_watchdog_can_be_tripped_at_once(host: Host) -> None:
     host.bus.alter(0, lambda servo: servo.trip_watchdog(host.now))
     assert host.read(1, "bus_watchdog") == 0
     host.write(1, "bus_watchdog", 6)
     host.bus.alter(0, lambda servo: servo.trip_watchdog(host.now))
     assert host.read(1, "bus_watchdog") == 255
-
-
-def test_faults_affect_only_the_selected_servos(host: Host) -> None:
-    host.bus.faults.rate_of = {2: {"drop": 1.0}}
-    assert [bool(host.ask(servo, PING)) for servo in (1, 2, 3)] == [True, False, True]
 
 
 @pytest.mark.parametrize("row", SERVO_ROWS, ids=lambda row: row.name)

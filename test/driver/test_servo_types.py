@@ -186,22 +186,6 @@ def test_currents_have_the_types_unit(make: Callable[[ServoType], Arm], kind: Se
 
 
 @KINDS
-@pytest.mark.parametrize("bound", [0.0, 0.1, 0.4999, 0.5, 0.83, 2.2999])
-def test_a_bound_is_never_exceeded_in_the_types_unit(
-    make: Callable[[ServoType], Arm], kind: ServoType, bound: float
-) -> None:
-    arm = make(kind)
-    bus = arm.bus()
-    bus.open()
-    bus.enable_torque((bound,) * 3)
-    counts = arm.emulator.servo(2).table.get("goal_current")
-    assert bound - kind.current_unit < counts * kind.current_unit <= bound
-    assert arm.plant.commands[1][2] == counts * kind.current_unit
-    with pytest.raises(RangeError):
-        bus.write_goals(START, (0.1, kind.stall_current + kind.current_unit, 0.1))
-
-
-@KINDS
 def test_a_torque_becomes_a_current_by_the_types_constant_unless_one_is_set(
     make: Callable[[ServoType], Arm], kind: ServoType
 ) -> None:

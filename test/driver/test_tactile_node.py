@@ -31,7 +31,6 @@ from deltacharger_driver.emulators.bench import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.ports import PseudoTerminal
 from deltacharger_ros.executor import Spinner
-from deltacharger_ros.node_support import StartupError
 
 from ..chargers import new_namespace, patience
 from ..nodes import call, options
@@ -314,17 +313,3 @@ def test_close_opens_the_contactor_reports_it_and_releases_the_port(
     assert not rig.client.contactor(True).success
     rig.node.close()
     rig.stop()
-
-
-@pytest.mark.parametrize(
-    ("parameter", "words"),
-    [
-        ({"port": "/nowhere"}, "no such port"),
-        ({"rate": 1000.0}, "rate"),
-        ({"prot": "x"}, "'port'"),
-        ({"pitch": 0.0}, "pitch"),
-    ],
-)
-def test_bad_parameters_stop_the_node(context: Any, parameter: dict[str, Any], words: str) -> None:
-    with pytest.raises(StartupError, match=words):
-        TactileNode(**options(context, **parameter))

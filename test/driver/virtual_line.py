@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Emulated servos in virtual time: whatever waits for them advances their clock. `RealClock` is for tests on ports."""
+"""Emulated servos in virtual time: whatever waits for them advances their clock."""
 
 from __future__ import annotations
 
-import time
 from typing import ClassVar
 
 from deltacharger_driver.errors import PortGone, PortMissing
@@ -27,17 +26,6 @@ class Clock:
             self.now += seconds
         else:
             self.line.advance(seconds)
-
-
-class RealClock:
-    """This computer's time."""
-
-    def __call__(self) -> float:
-        return time.monotonic()
-
-    def sleep(self, seconds: float) -> None:
-        """Wait."""
-        time.sleep(seconds)
 
 
 class Line:

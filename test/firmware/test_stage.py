@@ -246,13 +246,6 @@ def test_the_boards_own_limits_stay_the_outer_bounds(bench: Bench) -> None:
     bench.check(contactor=0, fault=BoardFault.VOLTAGE_OUT_OF_RANGE)
 
 
-@pytest.mark.parametrize(("fuse", "current"), [(20.0, 20.0 * 22.8 * 0.9 / 28.0), (100.0, 18.0)])
-def test_a_stage_that_steps_up_never_draws_more_than_its_fuse(new_bench: NewBench, fuse: float, current: float) -> None:
-    bench = new_bench(input_fuse=fuse)
-    bench.set("battery 22.8", "target 28", "resistance 0.01")
-    assert bench.charge().state("current") == pytest.approx(current, abs=0.01)
-
-
 @pytest.mark.parametrize("reading", ["battery", "target"])
 def test_the_current_does_not_rise_while_a_voltage_is_unknown(bench: Bench, reading: str) -> None:
     bench.set(*STRONG)
@@ -269,30 +262,6 @@ def test_a_stage_whose_voltage_the_board_sets_gets_the_closings(bench: Bench) ->
     bench.open()
     bench.run(60 * MS)
     bench.check(contactor=0, voltage=0)
-
-
-@pytest.mark.parametrize(("voltage", "error"), [(29.45, AckError.DONE), (29.55, AckError.INTERLOCK)])
-def test_a_trimmed_stage_must_not_be_above_the_closings_voltage(
-    new_bench: NewBench, voltage: float, error: AckError
-) -> None:
-    bench = new_bench(stage_voltage=voltage)
-    bench.probe()
-    bench.beat()
-    assert bench.close_contactor() == error
-    bench.run(90 * MS)
-    bench.check(voltage=0, contactor=float(error == AckError.DONE))
-
-
-@pytest.mark.parametrize(("target", "fault"), [(25.4, 0), (25.6, BoardFault.VOLTAGE_OUT_OF_RANGE)])
-def test_a_stage_that_only_steps_down_refuses_a_target_above_its_battery(
-    new_bench: NewBench, target: float, fault: int
-) -> None:
-    bench = new_bench(steps_up=0)
-    bench.set(f"target {target}")
-    closing(bench)
-    bench.run(500 * MS)
-    current = pytest.approx(0.0 if fault else (26.0 - target) / 2.0, abs=1e-3)  # its voltage is its battery's
-    bench.check(fault=fault, contactor=float(not fault), current=current)
 
 
 @pytest.mark.parametrize("start", [0.5, 3.0, 20.0])

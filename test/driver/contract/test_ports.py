@@ -41,14 +41,3 @@ def test_missing_devices_and_moving_tests_are_skipped_with_the_reason() -> None:
         assert (code, counts) == (0, {"passed": 1, "skipped": 3}), output
         assert "--move" in output
         assert "--port board" in output
-
-
-@pytest.mark.rest
-def test_swapped_and_missing_ports_fail_with_the_drivers_error(tmp_path: Path) -> None:
-    with emulated_servos() as servos:
-        nothing = tmp_path / "nothing"
-        code, output, counts = run(f"--port=board={servos.path}", f"--port=servo={nothing}")
-        assert (code, counts["error"]) == (1, 2), output
-        assert "passed" not in counts
-        assert f"{servos.path}: found the servos" in output
-        assert f"{nothing}: there is no such port" in output
