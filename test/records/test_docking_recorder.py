@@ -136,15 +136,6 @@ def test_consecutive_dockings_are_two_records(tmp_path: Path) -> None:
     assert second_.began_ns - first_.began_ns == 4_200_000_000
 
 
-def test_a_record_ends_with_docking_node_and_states_the_phase(tmp_path: Path) -> None:
-    recording = recorder(tmp_path)
-    now = play(recording, docking())
-    recording.tick(now, alive=False)
-    recording.tick(now + LOST_AFTER, alive=False)
-    assert only(tmp_path).name.endswith("-UNFINISHED.mcap")
-    assert "MEASURE after 2.0 s without an outcome" in why(replay(only(tmp_path)))
-
-
 def test_a_folder_that_cannot_be_written_ends_recording_until_it_can(tmp_path: Path) -> None:
     folder = tmp_path / "records"
     folder.write_text("in the way")

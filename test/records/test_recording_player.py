@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import dataclasses
-import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -13,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from ..chargers import DEADLINE, Process, new_namespace, wait_until
+from ..chargers import DEADLINE, new_namespace, wait_until
 from ..nodes import options
 from ..waiting import host
 
@@ -219,24 +218,3 @@ def test_unplayable_files_are_refused_at_the_start(
     with pytest.raises(StartupError, match=PLAYER) as caught:
         alone(make(tmp_path), context)
     assert error in str(caught.value)
-
-
-@pytest.mark.rest
-def test_one_charger_of_several_is_selected_by_name(context: Any, tmp_path: Path) -> None:
-    player = alone(of_two(tmp_path), context, charger="b")
-    player.close()
-    player.destroy_node()
-    with pytest.raises(StartupError, match=r"no docking_state of /c; it holds /a, /b"):
-        alone(of_two(tmp_path), context, charger="c")
-
-
-@pytest.mark.rest
-def test_up_plays_a_recording_reports_its_content_and_ends_in_order(
-    start: Callable[..., Process], deltacharger: tuple[str, ...], recording: Path, namespace: str
-) -> None:
-    scene = start(*deltacharger, "up", "--recording", str(recording), "--namespace", namespace)
-    scene.wait_for_line("ready", scene.err)
-    (content,) = (line for line in scene.err if "no docking_node" in line)
-    assert "recording_player_node" in content
-    assert scene.end(signal.SIGTERM) == 0, scene.err
-    assert not any("Traceback" in line for line in scene.err), scene.err

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import importlib.util
 import math
-import sys
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
 from pathlib import Path
@@ -337,12 +336,6 @@ def test_an_unreadable_file_is_reported_in_one_line(argument: str, tmp_path: Pat
         with pytest.raises(ValueError, match=rf"^{argument}: .*{wrong}.*{noun}[^\n]*$"):
             wired(**{argument: str(wrong)})
         wrong.write_text("armm: 0.1\n", encoding="utf-8")
-
-
-def test_a_misspelt_argument_is_refused_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "argv", ["ros2", "launch", str(LAUNCH), "geometri_file:=arm.yaml"])
-    with pytest.raises(ValueError, match="'geometri_file'"):
-        wired(argv=["geometri_file:=arm.yaml"])
 
 
 @pytest.mark.parametrize(

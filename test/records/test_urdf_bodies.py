@@ -6,7 +6,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +18,6 @@ from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_records.view.shapes import passive_joints
 from deltacharger_vision.mount import Mount, look_at
 
-from ..marks import night
 from .test_urdf import BAKED, CALIBRATED, UrdfTree, expanded
 
 ACTUATOR, CAMERA = 0.938, 0.06  # kg; paper, assumed
@@ -27,22 +26,9 @@ OAK_D = "0.110 0.0545 0.033"  # m
 ROOM_FOR_OAK_D = (0.0, 0.17, -0.14)  # as docs/camera-node.md says
 
 
-class Reader(Protocol):
-    """A program that reads URDFs."""
+class MuJoCo:
+    """What MuJoCo reads in a URDF: masses, what joints hold at rest (N·m, N), and pairs of links that touch."""
 
-    def __init__(self, path: Path) -> None: ...
-
-    def moving(self) -> float:
-        """Return the mass (kg) of the links that joints move."""
-
-    def held(self, joints: Mapping[str, float], gravity: Array) -> dict[str, float]:
-        """Return what the joints hold at rest (N·m, N), `gravity` (3,) m/s² in base_link."""
-
-    def touching(self, joints: Mapping[str, float]) -> set[tuple[str, str]]:
-        """Return the pairs of links that touch, of those that can move relative to each other."""
-
-
-class MuJoCo(Reader):
     def __init__(self, path: Path) -> None:
         self.mujoco: Any = pytest.importorskip("mujoco", reason="`pip install mujoco`")
         self.model: Any = self.mujoco.MjModel.from_xml_path(str(path))
@@ -67,75 +53,6 @@ class MuJoCo(Reader):
         return {(self.model.body(one).name, self.model.body(other).name) for one, other in bodies}
 
 
-class Pinocchio(Reader):
-    def __init__(self, path: Path) -> None:
-        self.pin: Any = pytest.importorskip("pinocchio", reason="`pip install pin`")
-        self.model: Any = self.pin.buildModelFromUrdf(str(path))
-        self.bodies: Any = self.pin.buildGeomFromUrdf(self.model, str(path), self.pin.GeometryType.COLLISION)
-        self.bodies.addAllCollisionPairs()  # of links that joints move
-        self.data, self.contacts = self.model.createData(), self.bodies.createData()
-
-    def moving(self) -> float:
-        return float(self.pin.computeTotalMass(self.model))  # without what stands still
-
-    def _place(self, joints: Mapping[str, float]) -> Array:
-        values = np.zeros(self.model.nq)
-        for name, value in joints.items():
-            values[self.model.joints[self.model.getJointId(name)].idx_q] = value
-        return values
-
-    def held(self, joints: Mapping[str, float], gravity: Array) -> dict[str, float]:
-        self.model.gravity.linear = gravity
-        held = self.pin.computeGeneralizedGravity(self.model, self.data, self._place(joints))
-        return {name: float(held[self.model.joints[self.model.getJointId(name)].idx_v]) for name in joints}
-
-    def touching(self, joints: Mapping[str, float]) -> set[tuple[str, str]]:
-        self.pin.computeCollisions(self.model, self.data, self.bodies, self.contacts, self._place(joints), False)
-        shapes, results = self.bodies.geometryObjects, self.contacts.collisionResults
-        pairs = (pair for pair, result in zip(self.bodies.collisionPairs, results, strict=True) if result.isCollision())
-        return {(shapes[pair.first].name, shapes[pair.second].name) for pair in pairs}
-
-
-class PyBullet(Reader):
-    def __init__(self, path: Path) -> None:
-        self.bullet: Any = pytest.importorskip("pybullet", reason="`pip install pybullet`")
-        client: Any = pytest.importorskip("pybullet_utils.bullet_client")
-        self.world: Any = client.BulletClient(self.bullet.DIRECT)
-        self.robot = self.world.loadURDF(str(path), useFixedBase=True, flags=self.bullet.URDF_USE_INERTIA_FROM_FILE)
-        self.links = [
-            self.world.getJointInfo(self.robot, index) for index in range(self.world.getNumJoints(self.robot))
-        ]
-        self.free = [link for link in self.links if link[2] != self.bullet.JOINT_FIXED]
-        # The link whose joint moves each link, the base for those that stand still.
-        self.moved_by: dict[int, int] = {-1: -1}
-        for link in self.links:
-            self.moved_by[link[0]] = link[0] if link in self.free else self.moved_by[link[16]]
-
-    def moving(self) -> float:
-        return sum(self.world.getDynamicsInfo(self.robot, link)[0] for link, own in self.moved_by.items() if own >= 0)
-
-    def held(self, joints: Mapping[str, float], gravity: Array) -> dict[str, float]:
-        self.world.setGravity(*gravity)
-        names = [link[1].decode() for link in self.free]
-        still = [0.0] * len(names)
-        held = self.world.calculateInverseDynamics(self.robot, [joints[name] for name in names], still, still)
-        return dict(zip(names, held, strict=True))
-
-    def touching(self, joints: Mapping[str, float]) -> set[tuple[str, str]]:
-        for link in self.free:
-            self.world.resetJointState(self.robot, link[0], joints[link[1].decode()])
-        name = {link[0]: link[12].decode() for link in self.links}
-        return {
-            (name[one], name[other])
-            for one, other in itertools.combinations(name, 2)
-            if self.moved_by[one] != self.moved_by[other]
-            and self.world.getClosestPoints(self.robot, self.robot, 0.0, one, other)
-        }
-
-
-READERS = [MuJoCo, Pinocchio, night(PyBullet)]
-
-
 def joint_values(kinematics: ScalarDelta, angles: Array) -> dict[str, float]:
     """Return the value of every joint, at these arm angles."""
     values = passive_joints(kinematics, list(angles))
@@ -150,14 +67,13 @@ def poses(geometry: DeltaGeometry, counts: tuple[int, int, int]) -> Array:
     return np.array([(0.0, 0.0, 0.0), *grid])
 
 
-def touching(reader: Reader, geometry: DeltaGeometry, points: Array) -> set[tuple[str, str]]:
+def touching(reader: MuJoCo, geometry: DeltaGeometry, points: Array) -> set[tuple[str, str]]:
     kinematics, angles = ScalarDelta(geometry), Delta(geometry).inverse(points).angles
     return set().union(*(reader.touching(joint_values(kinematics, each)) for each in angles))
 
 
-@pytest.mark.parametrize("reader", READERS)
-def test_no_body_touches_another_in_the_workspace(reader: type[Reader]) -> None:
-    assert touching(reader(BAKED), DeltaGeometry(), poses(DeltaGeometry(), (5, 5, 4))) == set()
+def test_no_body_touches_another_in_the_workspace() -> None:
+    assert touching(MuJoCo(BAKED), DeltaGeometry(), poses(DeltaGeometry(), (5, 5, 4))) == set()
 
 
 def test_nor_do_those_of_a_calibrated_arm(tmp_path: Path) -> None:
@@ -175,10 +91,9 @@ def test_an_oak_d_has_room_where_the_page_says_and_none_at_the_usual_mount(tmp_p
         assert (touching(MuJoCo(urdf), DeltaGeometry(), points) == set()) is room
 
 
-@pytest.mark.parametrize("reader", READERS)
-def test_it_weighs_what_the_statics_say(reader: type[Reader]) -> None:
+def test_it_weighs_what_the_statics_say() -> None:
     geometry, gravity, step = DeltaGeometry(), np.array([1.5, -9.5, 2.0]), 1e-5
-    read, kinematics = reader(BAKED), ScalarDelta(geometry)
+    read, kinematics = MuJoCo(BAKED), ScalarDelta(geometry)
     assert read.moving() == pytest.approx(geometry.platform_mass + 3 * geometry.rod_mass, abs=SPECKS)
     base = UrdfTree(BAKED.read_text(encoding="utf-8")).frames(joint_values(kinematics, np.zeros(3)))["charger_base"]
     for point in poses(geometry, (2, 2, 2)):

@@ -24,10 +24,8 @@ from deltacharger_bringup.cli.main import main
 from deltacharger_docking.codes import State
 from deltacharger_kinematics.geometry import DeltaGeometry, save_geometry
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_records.raw_topics import Topic
-from deltacharger_ros import qos
 
-from ..bringup.command import Capture, answer, refuses, run
+from ..bringup.command import Capture, refuses, run
 from ..chargers import Process, new_namespace, wait_until
 from .docking_tapes import NAMES, RECORDED, decision, in_order, raw, state, write
 
@@ -143,12 +141,6 @@ def lengths(recording: Recording, name: str) -> NDArray[np.float64]:
     return np.linalg.norm(drawn[:, :, 1] - drawn[:, :, 0], axis=-1)
 
 
-def test_the_drawn_rods_keep_their_length_and_the_arms_theirs(shown: Recording) -> None:
-    for name, length in (("arms", 0.100), ("rods", 0.180)):
-        assert len(lengths(shown, name)) > 10
-        np.testing.assert_allclose(lengths(shown, name), length, atol=1e-6)
-
-
 def test_a_calibrated_geometry_is_drawn(tmp_path: Path, capsys: Capture) -> None:
     scene = tmp_path / "long.yaml"
     save_geometry(DeltaGeometry(arm=0.11), tmp_path / "arm.yaml")
@@ -156,27 +148,6 @@ def test_a_calibrated_geometry_is_drawn(tmp_path: Path, capsys: Capture) -> None
     tape = write(tmp_path / "a.mcap", charge()[:40])
     assert run(capsys, "view", "--recording", tape, "--scene", scene, "--save", tmp_path / "a.rrd")[0] == 0
     np.testing.assert_allclose(lengths(Recording(tmp_path / "a.rrd"), "arms"), 0.11, atol=1e-6)
-
-
-def test_messages_are_counted_and_of_two_chargers_one_is_chosen(tmp_path: Path, capsys: Capture) -> None:
-    from std_msgs.msg import Header
-
-    both, other = tmp_path / "both.mcap", tmp_path / "other.mcap"
-    twins = {f"/{side}/docking_state": RECORDED[NAMES["docking_state"]] for side in ("left", "right")}
-    tape = [state(0.1 * number, State.IDLE)._replace(topic=topic) for topic in twins for number in range(3)]
-    write(both, in_order(tape), topics=twins)
-    write(
-        other,
-        [raw(0.0, "docking_state", Header())._replace(topic="/chatter")],
-        topics={"/chatter": Topic("chatter", Header, qos.SENSOR)},
-    )
-    save = f"--save {tmp_path}/a.rrd"
-    refuses(capsys, f"view --recording {both} {save}", "/left, /right")
-    refuses(capsys, f"view --recording {both} --namespace elsewhere {save}", "elsewhere")
-    refuses(capsys, f"view --recording {other} {save}", "/chatter")
-    code, found = answer(capsys, "view", "--recording", both, *save.split(), "--namespace", "right")
-    assert (code, found["success"], found["saved"]) == (0, True, f"{tmp_path}/a.rrd")
-    assert found["messages"] == {"docking_state": 3}
 
 
 def test_without_a_screen_the_message_names_alternatives(capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -64,26 +64,6 @@ def _box(centre: tuple[float, float, float], colour: tuple[int, int, int]) -> Bo
     return boxes
 
 
-def test_a_box_is_as_large_as_its_sides_seen_along_an_axis() -> None:
-    solids = Solids()
-    solids.add(_box((1.0, 2.0, 3.0), RED))
-    views = (((0, 0, 1), (0, 1, 0), (0.2, 0.4)), ((1, 0, 0), (0, 1, 0), (0.6, 0.4)), ((0, 1, 0), (0, 0, 1), (0.2, 0.6)))
-    for eye, up, size in views:
-        faces, _ = solids.seen(eye, up)
-        assert faces.shape == (6, 4, 2)
-        assert np.ptp(faces.reshape(-1, 2), axis=0) == pytest.approx(size)
-
-
-def test_a_bar_reaches_from_its_first_to_its_last_point() -> None:
-    ends = np.array([[(0.0, 0.0, 0.0), (3.0, 4.0, 12.0)]])
-    solids = Solids()
-    solids.add_bars(ends, 0.1, RED)
-    along = solids.corners.reshape(-1, 3) @ (ends[0, 1] / 13.0)
-    assert (along.min(), along.max()) == pytest.approx((0.0, 13.0))
-    aside = np.linalg.norm(solids.corners.reshape(-1, 3) - along[:, None] * ends[0, 1] / 13.0, axis=1)
-    assert aside == pytest.approx(np.full(len(aside), 0.1 * math.sqrt(2.0)))
-
-
 @pytest.mark.parametrize("eye", [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0)])
 def test_nearer_faces_come_last(eye: tuple[float, float, float]) -> None:
     solids = Solids()
