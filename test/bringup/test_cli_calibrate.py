@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deltacharger_core.parameters import from_mapping
 from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.calibration.calibrate import COUNT, Uncertainty, numbers, rms, with_numbers
 from deltacharger_kinematics.calibration.data import Encoder
@@ -69,21 +68,6 @@ def test_a_fit_reports_its_quality_and_writes_a_geometry(capsys: Capture, data: 
         assert word in header
     code, _, err = run(capsys, *FIT, data, "--nominal", out, "--out", tmp_path / "again.yaml")  # already fitted
     assert (code, "improve" in err, (tmp_path / "again.yaml").exists()) == (1, True, False)
-
-
-@pytest.mark.rest
-def test_one_object_in_si_units(capsys: Capture, data: Path) -> None:
-    code, found = answer(capsys, *FIT, data)
-    assert (code, found["success"], found["written"]) == (0, True, None)
-    assert (found["rows"], len(found["held_out"]["lines"]), len(found["singular_values"])) == (36, 9, 18)
-    assert found["rms"]["after"] < 2e-4 < 1e-3 < found["rms"]["before"]
-    assert found["held_out"]["after"] < 3e-4 < 1e-3 < found["held_out"]["before"]
-    errors = [
-        (row["fitted"] - true) / row["stddev"] for row, true in zip(found["parameters"], numbers(ARM), strict=True)
-    ]
-    assert max(map(abs, errors)) < 4.0
-    assert len({(row["limb"], row["name"]) for row in found["parameters"]}) == COUNT
-    assert from_mapping(found["geometry"], DeltaGeometry).limbs != NOMINAL.limbs
 
 
 @pytest.mark.rest

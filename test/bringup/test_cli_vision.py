@@ -141,11 +141,8 @@ def test_without_depth_the_image_alone_is_used(files: Path, tmp_path: Path, caps
     ("words", "noun"),
     [
         ("none.png --camera-info k.yaml", "none.png"),
-        ("a.png --depth none.npy --camera-info k.yaml", "none.npy"),
         ("k.yaml --camera-info k.yaml", "image"),
-        ("a.png --camera-info a.png", "YAML"),
         ("a.png --camera-info k.yaml --terminal k.yaml", "camera_matrix"),
-        ("a.png --camera-info k.yaml --mount k.yaml", "key"),
     ],
 )
 def test_a_wrong_file_is_named(

@@ -45,37 +45,26 @@ REFUSED = {
     "no-such-command": "no-such-command",
     "scene nowhere": "nowhere",
     "dock --x-mm left": "--x-mm",
-    "dock --critical-angle-deg -1": "--critical-angle-deg",
     "dock --x-mm 1 --camera": "--camera",
     "dock --scene bench --x-mm 3": "--y-mm, --z-mm",
     "dock --namespace 'bad name'": "--namespace",
     "dock --picture ''": "--picture",
     "dock --picture /proc/run.png": "/proc/run.png",
     "dock --scene bad.yaml": "seed",
-    "simulate --directory . --scene bad.yaml": "seed",
     "simulate --directory never --record /proc/record.json": "/proc/record.json",
     "simulate --directory never --scene bench": "bench",
-    "simulate": "--directory",
     f"{FIT} --plan /proc/plan.csv": "/proc/plan.csv",
-    f"{FIT} --plan plan.csv": "--force",
     f"{FIT}": "DATA",
     f"{FIT} text.csv": "text.csv",
-    f"{FIT} text.csv --nominal none.yaml": "none.yaml",
     f"{FIT} text.csv --held-out 0": "--held-out",
-    f"{FIT} text.csv --zero-ticks 1 2": "--zero-ticks",
-    f"{FIT} text.csv --direction 1 0 1": "direction",
     f"{FIT} text.csv --plan new.csv": "--plan",
     f"{FIT} --measure new.csv": "--plan",
     f"{FIT} --plan none.csv --measure new.csv": "none.csv",
-    f"{FIT} --plan new.csv --direction 1 2 1": "--direction",
     "calibrate camera": "--views",
     f"{PRINT} board.pdf": ".svg",
     f"{BOARD} --board-x-mm 20": "--board-y-mm, --board-z-mm",
-    f"{BOARD} --board apriltag:36h11:9999": "9999",
-    f"{BOARD} --marker-mm 30": "marker",
     f"{BOARD} --take 3": "--take",
     "calibrate tactile --out new.yaml": "--data",
-    "calibrate tactile --data text.npz": "--out",
     "calibrate tactile --data text.npz --out .": "written",
     "calibrate tactile --data text.npz --out new.yaml": "data set",
     RECORD: "--set",
@@ -87,26 +76,21 @@ REFUSED = {
     f"{RECORD} --set reference --out text.npz": "--out",
     "vision detect": "IMAGE",
     COLOR: "--camera-info",
-    f"{COLOR} --camera-info none.yaml": "none.yaml",
     f"{COLOR} --camera-info k.yaml": "distortion",
     f"{COLOR} --camera-info k.yaml --pictures text": "--pictures",
     f"{COLOR} --color-topic /x": "--color-topic",
     "vision detect . --depth text.png": "--depth",
-    "vision detect none.mcap": "none.mcap",
     "vision detect k.yaml": "folder",
     "vision detect folder.png": "images",
     "vision detect bag": "bag/x_0.mcap",
-    "vision detect text.mcap": "MCAP",
     "vision detect bare": "camera_info.yaml",
     "vision detect bare --camera-info k.yaml --color-topic /x": "--color-topic",
     "replay text.mcap": "MCAP",
     "view --save view.png": ".rrd",
     "view --save /proc/view.rrd": "/proc/view.rrd",
-    "view --connect localhost": "rerun+http",
     "view --save a.rrd --connect rerun+http://h:1/proxy": "--connect",
     "view --recording text --stop-after-s 3 --save a.rrd": "running charger",
-    "view --recording text --save a.rrd": "MCAP",
-    **{f"view --web {address}": address for address in ("here", "127.0.0.1:65535", "127.0.0.1:x", ":9090")},
+    **{f"view --web {address}": address for address in ("here", "127.0.0.1:65535")},
     "doctor --set-baud 1000000": "--servo-port",
     "doctor --set-baud 57600 --servo-port board": "--board-port",
     "doctor --set-baud 57600 --servo-port /dev/null --ids 300": "--ids",
@@ -142,14 +126,6 @@ def test_wrong_input_ends_with_2_and_a_noun(
     before = sorted(kit.rglob("*"))
     refuses(capsys, line, REFUSED[line])
     assert sorted(kit.rglob("*")) == before, "nothing is written"
-
-
-def test_a_refused_scene_names_file_and_key(capsys: Capture, kit: Path) -> None:
-    found = refuses(capsys, "dock --scene {bad}", "seed", bad=kit / "bad.yaml")
-    assert (found["key"], found["file"]) == ("simulation.sed", str(kit / "bad.yaml"))
-    code, checked = answer(capsys, "scene", "simulated", kit / "goal.yaml")
-    assert (code, [each["ok"] for each in checked["scenes"]]) == (2, [True, False])
-    assert checked["scenes"][1]["key"] == "goal.x"
 
 
 def test_scene_lists_checks_and_explains(capsys: Capture, tmp_path: Path) -> None:
@@ -289,7 +265,7 @@ def test_a_word_with_control_characters_is_refused(capsys: Capture, word: str, s
         assert not out or json.loads(out)["success"] is False
 
 
-@pytest.mark.parametrize(("word", "shown"), [("\udcff.yaml", "\\udcff.yaml"), ("caf\udce9", "caf\\udce9"), ("-", "-")])
+@pytest.mark.parametrize(("word", "shown"), [("caf\udce9", "caf\\udce9"), ("-", "-")])
 @pytest.mark.parametrize("command", ["replay", "vision detect", "scene", "calibrate tactile --out m.npz --data"])
 def test_a_name_that_is_not_utf8_is_reported(
     capsys: Capture, command: str, word: str, shown: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

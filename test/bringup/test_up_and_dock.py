@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 import signal
 from collections.abc import Callable
 from pathlib import Path
@@ -126,20 +125,6 @@ def test_a_refused_docking_ends_with_1_and_its_code(run: Run) -> None:
 
 
 @pytest.mark.rest
-def test_a_docking_without_the_library_of_its_record_charges_and_ends_with_1(
-    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "mcap.py").write_text("raise ModuleNotFoundError('mcap', name='mcap')", encoding="utf-8")
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=":")
-    dock = run("dock", "--json", "--no-picture", "--record", str(tmp_path / "records"))
-    assert result(dock, 1)["success"] is True
-    named = [number for number, line in enumerate(dock.err) if "nothing is recorded: mcap is not installed" in line]
-    goal = next(number for number, line in enumerate(dock.err) if line.startswith("goal: "))
-    assert (len(named), named[0] < goal < named[1]) == (2, True), dock.err
-    assert not list((tmp_path / "records").glob("*"))
-
-
-@pytest.mark.rest
 @pytest.mark.parametrize(
     "line",
     [
@@ -160,21 +145,3 @@ def test_without_a_charger_every_command_ends_with_1(
     code, found = answer(capsys, *line.split(), "--namespace", "nobody_here")
     assert (code, "deltacharger up" in found["error"]) == (1, True)
     assert [path.name for path in tmp_path.iterdir()] == ["plan.csv"]
-
-
-@pytest.mark.night
-@pytest.mark.parametrize("shell", ["exec {} >/dev/full 2>&-", "exec {} >&- 2>/dev/full"])
-def test_a_docking_finishes_without_usable_output_streams(
-    run: Run, start: Run, deltacharger: tuple[str, ...], quick_file: Path, namespace: str, shell: str
-) -> None:
-    from deltacharger_ros.client import ChargerClient
-
-    where = ("--scene", str(quick_file), "--namespace", namespace)
-    charger = start("bash", "-c", shell.format(shlex.join((*deltacharger, "up", *where))))
-    with ChargerClient(namespace) as client:
-        assert client.wait_until_ready(60.0)
-    dock = start("bash", "-c", shell.format(shlex.join((*deltacharger, "dock", *where, "--json"))))
-    assert dock.end() == 1, "its output is lost"
-    assert (dock.out, dock.err) == ([], [])
-    result(run("undock", "--json"), 0)
-    assert charger.end(signal.SIGTERM) == 0, "it had no output"
