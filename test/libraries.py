@@ -3,14 +3,10 @@
 
 from __future__ import annotations
 
-AT_ONCE: dict[str, tuple[str, ...]] = {
+_OF: dict[str, tuple[str, ...]] = {
     "tactile_node": ("serial",),
     "servo_node": ("dynamixel_sdk", "serial"),
     "simulated_charger": ("serial",),
-}
-"""Loaded by the node's import."""
-
-WHEN_USED: dict[str, tuple[str, ...]] = {
     "camera_node": ("depthai", "lz4", "mcap", "zstandard"),
     "simulated_camera_node": ("cv2",),
     "electrode_detector_node": ("cv2", "tf2_ros"),
@@ -20,9 +16,8 @@ WHEN_USED: dict[str, tuple[str, ...]] = {
     "docking_node": ("tf2_ros",),
     "mission_node": ("nav2_msgs", "tf2_ros"),
 }
-"""Loaded by some of its functions, depending on parameters or use."""
 
 
 def of(name: str) -> set[str]:
     """Return all libraries that a node may load."""
-    return {*AT_ONCE.get(name, ()), *WHEN_USED.get(name, ())}
+    return set(_OF.get(name, ()))

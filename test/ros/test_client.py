@@ -316,7 +316,6 @@ def test_a_goal_that_cannot_be_sent_ends_with_an_error_each_time(answering: Answ
         ("full", 29.38, "full at 29.4 V; contact"),
         ("", 26.0, "500 J at 26.0 V; contact"),
         ("stop_after", math.nan, "500 J, stop_after; contact"),
-        ("", math.nan, "500 J; contact"),
     ],
 )
 def test_figures_tell_what_ended_charging_and_the_voltage(end: str, voltage: float, told: str) -> None:

@@ -304,17 +304,6 @@ def test_a_mount_in_millimetres_is_refused(robot: Robot, make: Make) -> None:
         frames.charger_base_in("base_link")
 
 
-@pytest.mark.rest
-@pytest.mark.parametrize("use_sim_time", [False, True])
-def test_a_contradiction_is_logged_before_any_goal(
-    make: Make, spin: Spin, capfd: pytest.CaptureFixture[str], use_sim_time: bool
-) -> None:
-    """Even before the first /clock."""
-    frames = make(base_pose=(0.0, 0.0, 1.0, 0.5, 0.5, 0.5, 0.5), use_sim_time=use_sim_time)
-    spin(frames._tf._node)
-    wait_until(lambda: "base_pose contradicts tf" in "".join(capfd.readouterr()), "the log")
-
-
 def test_two_chargers_of_one_robot_have_separate_frames(robot: Robot, make: Make) -> None:
     left, right = make("left/", mounted=False), make("right/", mounted=False)
     other: Pose = (-0.31, 0.0, 0.42, 0.5, 0.5, -0.5, -0.5)
@@ -354,14 +343,3 @@ def test_a_detection_in_the_cameras_frame_is_read_in_charger_base(robot: Robot, 
     message.header.frame_id = "another_camera"
     with pytest.raises(UnknownFrame, match="another_camera"):
         in_charger_base(message, frames)
-
-
-def test_tf_messages_are_not_taken_without_a_request(robot: Robot, make: Make, spin: Spin) -> None:
-    frames = make()
-    spin(frames._tf._node)
-    for _ in range(300):
-        robot.move(("map", "base_link", IDENTITY))
-    assert frames._tf is not None
-    assert frames._tf._buffer is None
-    assert not frames._tf._moving.is_open
-    assert frames._tf.knows("map"), "messages received before are available on request"

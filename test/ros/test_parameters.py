@@ -83,10 +83,8 @@ def test_integers_are_accepted_for_floats_from_command_line_and_files(
     [
         ({"rate": 900.0}, "'rate'"),
         ({"rate": "fast"}, "'rate'"),
-        ({"corner": ["1", "2"]}, "'corner'"),
         ({"corner": [1, 9]}, "'corner'"),
         ({"count": 2.0}, "'count'"),
-        ({"on": 1}, "'on'"),
         ({"rat": 5.0}, "did you mean 'rate'"),
     ],
 )
@@ -107,8 +105,6 @@ def test_a_wrong_parameter_stops_the_node_with_its_name(
     ("text", "words", "refused"),
     [
         ("/**: {ros__parameters: {map: {frame: earth}}}", (), ""),
-        ("/robot/*: {ros__parameters: {rat: 5.0}}", (), ""),
-        ("/robot/subject: {ros__parameters: {rat: 5.0}}", (), "rat"),
         ("/**/subject: {ros__parameters: {rat: 5.0}}", (), "rat"),
         ("/**: {ros__parameters: {rat: 5.0}}\n/robot/subject: {ros__parameters: {rat: 5.0}}", (), "rat"),
         ("/**: {ros__parameters: {rat: 5.0}}", ("-p", "rat:=6.0"), "rat"),

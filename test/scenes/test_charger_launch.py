@@ -17,12 +17,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import rclpy
 from deltacharger.srv import SolveForwardKinematics
 from rcl_interfaces.srv import GetParameters
-from rclpy.context import Context
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 
 from deltacharger_bringup.launch_arguments import CHARGER
 from deltacharger_core import runtime
@@ -98,24 +95,6 @@ def assert_ends(process: Process, code: int, count: int) -> None:
     assert finished_cleanly(process) == count, output(process)
 
 
-def test_two_chargers_dock_refuse_and_end_with_0(quick_scene: Scene, context: Any) -> None:
-    """They are distinguished by their namespaces only."""
-    with (
-        RunningCharger(quick_scene, context, command=command) as left,
-        RunningCharger(quick_scene, context, command=command) as right,
-    ):
-        assert left.charge().details["charge_current"] > 0.5
-        assert not right.is_closed
-        assert right.dock(DockRequest(None, critical_angle=0.4)).error_name == "REJECTED"
-        right.charge()
-        states = len(right.states)
-        left.go_home()
-        assert right.states[states:] == []
-        right.go_home()
-        for each in (left, right):
-            assert_ends(each.processes["charger"], 0, MOCK_NODES)
-
-
 def test_killed_nodes_that_move_nothing_restart_and_serve(quick_scene: Scene, context: Any) -> None:
     with RunningCharger(quick_scene, context, command=command) as charger:
         process = charger.processes["charger"]
@@ -168,21 +147,6 @@ def test_a_wrong_argument_or_part_ends_it_with_1(
     assert process.end() == 1
     assert expected in output(process)
     assert scene or "process started" not in output(process)
-
-
-def test_mocks_launched_alone_use_the_domain_of_simulated_chargers(
-    launched: Launch, namespace: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
-        monkeypatch.delenv(name)
-    process = launched(MOCKS, namespace)
-    context = Context()
-    rclpy.init(context=context, args=[], domain_id=87, signal_handler_options=SignalHandlerOptions.NO)
-    with ChargerClient(namespace, context) as client:
-        assert client.wait_until_ready(DEADLINE), output(process)
-    rclpy.try_shutdown(context=context)
-    assert process.end(INT) == 0
-    assert "export ROS_DOMAIN_ID=87" in output(process)
 
 
 NODES = ("servo_node", "tactile_node", "kinematics_node", "misalignment_node", "docking_node")

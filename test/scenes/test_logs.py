@@ -18,7 +18,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from deltacharger_ros.messages import fill_pose
-from deltacharger_ros.outcomes import DockRequest, Pose
+from deltacharger_ros.outcomes import DockRequest
 from deltacharger_scenes.scene import Scene
 
 from ..chargers import DEADLINE, Spin, new_namespace, wait_until
@@ -73,14 +73,6 @@ def test_a_failed_goal_is_logged_with_code_number_and_phase_at_info(charger: Run
     assert outcome.error_message in end
     assert re.search(r"charge .*; contact -?0\.\d{3} A, -?\d+\.\d N", end)
     assert "energise → retract" in heard.wait_for(", 502 SHORT_CIRCUIT: ")
-
-
-def test_a_refused_goal_is_logged_with_its_reason_without_control_characters(
-    charger: RunningCharger, heard: Heard
-) -> None:
-    outcome = charger.dock(DockRequest(Pose(0.0, 0.0, 0.9), request_id="a\x1b[31m\nb"))
-    assert outcome.error_name == "UNREACHABLE", outcome
-    assert heard.wait_for("refused, 301 UNREACHABLE: ").startswith("dock a\\u001b[31m\\u000ab: refused")
 
 
 def test_a_cancel_and_a_client_that_leaves_are_logged(charger: RunningCharger, heard: Heard) -> None:

@@ -59,13 +59,6 @@ def push(arm: MockArm) -> float:
     return DELTA.force(*arm.position, (spare[0], spare[1], spare[2]))[2]
 
 
-def test_the_arm_goes_to_its_goal_and_carries_its_weight() -> None:
-    arm = powered()
-    go(arm, (0.01, -0.02, 0.05))
-    assert arm.position == pytest.approx((0.01, -0.02, 0.05), abs=1e-5)
-    assert push(arm) == pytest.approx(0.0, abs=0.01)
-
-
 def test_beyond_the_targets_plane_it_presses_and_sticks() -> None:
     arm = powered()
     go(arm, (0.0, 0.0, 0.082))
@@ -83,14 +76,6 @@ def test_a_bound_clips_every_current() -> None:
     assert max(abs(current) for current in arm.currents) <= 0.3 + 1e-12
 
 
-def test_it_stays_without_torque_or_when_jammed() -> None:
-    for arm in (MockArm(), powered()):
-        arm.jammed = all(arm.torque_enabled)
-        before = arm.position
-        go(arm, (0.0, 0.0, 0.05))
-        assert arm.position == before
-
-
 def leased(power: MockPower, now: float = 0.0) -> MockPower:
     power.advance(now, True)
     power.probe(now, True)
@@ -106,16 +91,6 @@ def test_current_flows_only_while_closed_and_in_contact() -> None:
     assert power.current == 0.0
 
 
-def test_current_stays_within_the_limit_and_a_renewal_changes_it() -> None:
-    power, now = leased(MockPower()), 0.0
-    for limit, current in ((2.0, 2.0), (0.0, 2.0), (9.0, CHARGE_CURRENT)):
-        for _ in range(10):
-            power.close("docking", 0.25, now, limits=LIMITS._replace(current=limit))
-            now += 0.1
-            power.advance(now, True)
-        assert power.current == pytest.approx(current, abs=0.01)
-
-
 def test_an_expired_lease_opens_the_contactor() -> None:
     power = leased(MockPower())
     power.advance(0.249, True)
@@ -124,15 +99,6 @@ def test_an_expired_lease_opens_the_contactor() -> None:
     assert not power.closed
     with pytest.raises(LeaseRefused, match="probe"):
         power.close("docking", 0.25, 0.26, limits=LIMITS)
-
-
-def test_a_short_and_a_reversed_target_refuse_the_close() -> None:
-    for misbehaviour, expected in (("short", "short"), ("reverse_polarity", "polarity")):
-        power = MockPower()
-        power.misbehaviour = misbehaviour
-        power.probe(0.0, True)
-        with pytest.raises(LeaseRefused, match=expected):
-            power.close("docking", 0.25, 0.0, limits=LIMITS)
 
 
 def test_missing_current_is_a_fault_that_opens_and_is_cleared_by_opening() -> None:

@@ -186,10 +186,8 @@ MINE = {
     ("name", "words", "expected"),
     [
         ("servo_node", (), "/dev/no_servo: there is no such port"),
-        ("tactile_node", (), "/dev/no_board: there is no such port"),
         ("kinematics_node", ("-p", "no_such_parameter:=1"), "no_such_parameter"),
         ("kinematics_node", ("-r", "__ns:=/bad name"), "ROS refuses"),
-        ("kinematics_node", ("--no-such-flag",), "no-such-flag"),
     ],
 )
 def test_a_wrong_configuration_ends_a_node_with_2_and_its_reason(
@@ -199,14 +197,3 @@ def test_a_wrong_configuration_ends_a_node_with_2_and_its_reason(
     assert process.end() == 2
     assert any(expected in line for line in process.err), process.err
     assert not any("Traceback" in line for line in process.err)
-
-
-@pytest.mark.rest
-def test_an_invalid_ros_domain_ends_a_node_with_2(
-    start: Callable[..., Process], namespace: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("ROS_DOMAIN_ID", "233")
-    process = start(*arguments(parse_scene(MINE, "mine"), "kinematics_node", namespace))
-    assert process.end() == 2
-    (line,) = process.err
-    assert "0 to 232" in line

@@ -1,13 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Foreign nodes on a charger's topics and services, and a second charger: nothing live moves, and no docking fails.
-
-Their random messages: test_strangers_by_dice.py.
-"""
+"""Foreign nodes on a charger's topics and services, and a second charger: nothing live moves, and no docking fails."""
 
 from __future__ import annotations
 
 import math
-import time
 from array import array
 from collections.abc import Iterator
 from typing import Any
@@ -21,7 +17,6 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from deltacharger_core.machine import JOINTS
 from deltacharger_driver.servos.motion import ContactorState
 from deltacharger_ros.messages import CODES
-from deltacharger_scenes.mocks.mock_servo_node import MockServoNode
 from deltacharger_scenes.scene import Scene, parse_scene
 
 from ..chargers import Spin, new_namespace, wait_until
@@ -32,7 +27,6 @@ from ..running_charger import RunningCharger, up
 pytestmark = pytest.mark.ros
 
 HOME = (-0.2, -0.2, -0.2)  # rad; far from the target
-AWAY = (-0.1, -0.1, -0.1)
 PULL = 4.0  # N·m of each servo, more than the magnets hold
 
 
@@ -69,32 +63,6 @@ def test_a_strangers_points_part_no_live_electrodes_and_do_not_end_the_charge(
     assert math.dist(charger.world.snapshot().position, before) < 0.001
     assert charger.state.charging
     charger.go_home()
-
-
-@pytest.mark.parametrize("sec", [-(2**31), 2**31 - 1])
-def test_the_mock_also_refuses_impossible_stamps_and_serves_the_next(
-    context: Any, namespace: str, spin: Spin, monkeypatch: pytest.MonkeyPatch, sec: int
-) -> None:
-    mock, goals = spin(MockServoNode(**options(context, namespace))), []
-    monkeypatch.setattr(mock._goals, "follow", lambda points, *_: goals.append(points.angles[-1]))
-    sender = spin(Node("sender", **options(context, namespace)))
-    points = sender.create_publisher(JointTrajectory, "joint_trajectory", QoSProfile(depth=1))
-    wait_until(points.get_subscription_count, "discovery")
-
-    def send(positions: tuple[float, ...], sec: int) -> None:
-        point = JointTrajectoryPoint(positions=array("d", positions))
-        message = JointTrajectory(joint_names=list(JOINTS), points=[point])
-        message.header.stamp.sec = sec
-        points.publish(message)
-
-    def followed() -> bool:
-        for positions, stamp in ((AWAY, sec), (HOME, 0)):
-            send(positions, stamp)
-            time.sleep(0.01)  # the sender's period
-        return goals.count(HOME) > 2
-
-    wait_until(followed, "the goals of good ones")
-    assert set(goals) == {HOME}
 
 
 def assert_at_rest(charger: RunningCharger, since: int) -> None:
