@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array, Mask
 from deltacharger_vision.detector.blobs import Pair, find_blobs, find_cut_pairs, find_pairs, find_pieces
-from deltacharger_vision.detector.edges import Lines
 from deltacharger_vision.detector.fit import by_spacing, on_plane
 from deltacharger_vision.detector.judgement import (
     CLEAR_MISFIT,
@@ -42,7 +41,7 @@ from deltacharger_vision.detector.judgement import (
     agree,
     outline_shares,
 )
-from deltacharger_vision.detector.plane import Plane, fit_plane
+from deltacharger_vision.detector.observed import Lines, Plane, fit_plane
 from deltacharger_vision.errors import CameraInfoError
 from deltacharger_vision.images import DEPTH_BIAS, LIGHT, NEAREST_DEPTH, Intrinsics, RgbdImage, check_lens, project
 from deltacharger_vision.mount import line_angle

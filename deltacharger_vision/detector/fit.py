@@ -19,8 +19,7 @@ import numpy as np
 
 from deltacharger_core.arrays import Array, Mask
 from deltacharger_vision.detector.blobs import Pair
-from deltacharger_vision.detector.edges import EdgePoints
-from deltacharger_vision.detector.plane import Plane
+from deltacharger_vision.detector.observed import EdgePoints, Plane
 from deltacharger_vision.images import Intrinsics, project, rays
 from deltacharger_vision.terminal import Terminal, TerminalPose, cross_matrix, facing
 

@@ -21,15 +21,6 @@ from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array, Mask
 from deltacharger_vision.detector.blobs import Pair
-from deltacharger_vision.detector.edges import (
-    EDGE_FOLLOW,
-    EDGE_SEARCH,
-    SAMPLES,
-    EdgePoints,
-    Lines,
-    find_edges,
-    visible_lines,
-)
 from deltacharger_vision.detector.fit import (
     EDGE_BIAS,
     EDGE_NOISE,
@@ -45,14 +36,21 @@ from deltacharger_vision.detector.fit import (
     mirrored,
     tilted,
 )
-from deltacharger_vision.detector.plane import (
+from deltacharger_vision.detector.observed import (
+    EDGE_FOLLOW,
+    EDGE_SEARCH,
     FEWEST_DEPTHS,
     KNOWN_SHARE,
+    SAMPLES,
+    EdgePoints,
+    Lines,
     Plane,
     Region,
+    find_edges,
     fit_plane,
     is_noise,
     plate_region,
+    visible_lines,
 )
 from deltacharger_vision.images import Intrinsics, RgbdImage, project
 from deltacharger_vision.terminal import Terminal, TerminalPose, facing

@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 
 from deltacharger_vision.detector.detector import ElectrodeDetector, annotated
-from deltacharger_vision.detector.plane import Plane, Region, fit_plane
+from deltacharger_vision.detector.observed import Plane, Region, fit_plane
 from deltacharger_vision.errors import CameraInfoError
 from deltacharger_vision.images import DEPTH_BIAS, Intrinsics, RgbdImage
 from deltacharger_vision.mount import Mount
