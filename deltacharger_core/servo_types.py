@@ -30,6 +30,8 @@ from deltacharger_core.machine import (
 from deltacharger_core.parameters import Bounded, ParameterError, number, words
 from deltacharger_core.yaml_file import read_declared, write_yaml
 
+SPEEDS = {0: 9600, 1: 57600, 2: 115200, 3: 1_000_000, 4: 2_000_000, 5: 3_000_000, 6: 4_000_000}
+"""Value of the baud register → bit/s; 7 (4.5 M) is not a standard speed of Linux."""
 PAPER_BAND = (0.4, 0.5)
 """A of contact current in touch, least and most, on the paper's MX-64."""
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from deltacharger_core.machine import BAUD_RATE, SERVO_IDS
-from deltacharger_core.servo_types import model_name
+from deltacharger_core.servo_types import SPEEDS, model_name
 from deltacharger_driver.board.protocol import POWER_RATE, Hello, PacketError, PacketType, decode_hello, is_from_board
 from deltacharger_driver.packets import (
     BROADCAST,
@@ -25,7 +25,7 @@ from deltacharger_driver.packets import (
     encode_packet,
     instruction_packet,
 )
-from deltacharger_driver.ports import SPEEDS, RawPort, latency_timer
+from deltacharger_driver.ports import RawPort, latency_timer
 
 SERVO_SPEEDS = (BAUD_RATE, 57600, *(speed for speed in SPEEDS.values() if speed not in (BAUD_RATE, 57600)))
 """Every speed of a servo, the likely ones first, bit/s."""

@@ -18,10 +18,9 @@ from typing import Protocol
 
 import serial
 
+from deltacharger_core.servo_types import SPEEDS
 from deltacharger_driver.errors import PortBusy, PortDenied, PortError, PortGone, PortMissing, PortNotSerial
 
-SPEEDS = {0: 9600, 1: 57600, 2: 115200, 3: 1_000_000, 4: 2_000_000, 5: 3_000_000, 6: 4_000_000}
-"""Value of the baud register → bit/s; 7 (4.5 M) is not a standard speed of Linux."""
 USB_LATENCY = 1e-3  # s, one USB frame; used if the adapter's driver has no latency timer
 HANG_UPS = (serial.SerialException, OSError, termios.error, ValueError, TypeError)
 """Errors of a vanished port, depending on the call; the last two if pyserial has dropped its descriptor."""

@@ -10,10 +10,9 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from deltacharger_bringup.doctor.findings import Finding, failed, hint, ok, wrong
 from deltacharger_core.machine import SERVO_IDS
-from deltacharger_core.servo_types import NAMES, TYPES, ServoType
+from deltacharger_core.servo_types import NAMES, SPEEDS, TYPES, ServoType
 from deltacharger_driver.errors import CorruptReply, DriverError, NoAnswer, ServoFault
 from deltacharger_driver.port_identity import SERVO_SPEEDS, FoundServo, PortIdentity, identify
-from deltacharger_driver.ports import SPEEDS
 from deltacharger_driver.servos.bus import check_registers
 from deltacharger_driver.servos.link import ServoLink
 from deltacharger_driver.servos.registers import WATCHDOG_TRIPPED, describe_hardware_error
@@ -195,7 +194,7 @@ def set_baud(path: str, baud: int, ids: Sequence[int] | None, speeds: Sequence[i
 
     Args:
         path: of the port; no other program may have it open.
-        baud: new speed, a value of mx64.SPEEDS, bit/s.
+        baud: new speed, a value of SPEEDS, bit/s.
         ids: of the servos; None = all that answer.
         speeds: to search, bit/s; empty = all speeds of the servos.
 

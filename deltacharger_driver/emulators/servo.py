@@ -8,8 +8,7 @@ import math
 import struct
 from typing import Protocol
 
-from deltacharger_core.servo_types import MX_64, ServoType
-from deltacharger_driver.ports import SPEEDS
+from deltacharger_core.servo_types import MX_64, SPEEDS, ServoType
 from deltacharger_driver.servos.registers import (
     ALERT,
     INDIRECT_COUNT,

@@ -306,7 +306,7 @@ class ServoBusEmulator:
             self._parser.protocol_1 = True
 
     def set_speed(self, servo: int, baud: int) -> None:
-        """Set a servo's baud register (key of ports.SPEEDS), as found from the factory: 1."""
+        """Set a servo's baud register (key of SPEEDS), as found from the factory: 1."""
         with self._lock:
             self.servo(servo).table.set("baud", baud)
 

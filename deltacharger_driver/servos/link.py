@@ -30,6 +30,7 @@ from dynamixel_sdk.robotis_def import (
 )
 
 from deltacharger_core.machine import BAUD_RATE
+from deltacharger_core.servo_types import SPEEDS
 from deltacharger_driver.errors import (
     CorruptReply,
     DriverError,
@@ -49,7 +50,7 @@ from deltacharger_driver.packets import (
     sync_read_packet,
 )
 from deltacharger_driver.parameters import REPLY_MARGIN, STALL_MARGIN
-from deltacharger_driver.ports import HANG_UPS, SPEEDS, USB_LATENCY, latency_timer, open_serial
+from deltacharger_driver.ports import HANG_UPS, USB_LATENCY, latency_timer, open_serial
 from deltacharger_driver.servos.registers import ALERT, REGISTERS, describe_status_error
 
 PATIENCE = 0.1

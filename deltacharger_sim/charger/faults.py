@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from deltacharger_core.machine import JOINTS
 from deltacharger_core.parameters import Bounded, ParameterError, number, words
-from deltacharger_driver.ports import SPEEDS
+from deltacharger_core.servo_types import SPEEDS
 from deltacharger_sim.circuit import ROWS, usual
 
 if TYPE_CHECKING:

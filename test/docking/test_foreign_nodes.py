@@ -147,10 +147,9 @@ def test_a_false_angle_estimate_never_closes_the_contactor(
 ) -> None:
     """The target is tilted past the rule. Next to the true server it names frames; in its place it names none."""
     monkeypatch.setattr(energy, "_DUPLICATE_SOURCE_TIMEOUT", 0.5)
-    tilted = ("mock_servo_node", "mock_tactile_node")
-    more = {name: {**quick_scene.parameters[name], "target_angle": TILT} for name in tilted}
+    tilted = {**quick_scene.parameters["mock_tactile_node"], "target_angle": TILT}
     nodes = tuple(name for name in quick_scene.nodes if beside or name != "misalignment_node")
-    scene = replace(quick_scene, nodes=nodes, parameters={**quick_scene.parameters, **more})
+    scene = replace(quick_scene, nodes=nodes, parameters={**quick_scene.parameters, "mock_tactile_node": tilted})
     with RunningCharger(scene, context) as charger:
         closed = closings(charger)
         liar = spin(Liar(context, charger.namespace, names_frames=beside))

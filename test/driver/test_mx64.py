@@ -8,8 +8,7 @@ import math
 import pytest
 
 from deltacharger_core.machine import POSITION_P_GAIN, SERVO_STIFFNESS, STIFFNESS_PER_GAIN
-from deltacharger_core.servo_types import MX_64, TYPES, ServoType
-from deltacharger_driver import ports
+from deltacharger_core.servo_types import MX_64, SPEEDS, TYPES, ServoType
 from deltacharger_driver.errors import RangeError
 from deltacharger_driver.servos import registers
 from deltacharger_driver.servos.registers import REGISTERS, TICK
@@ -28,7 +27,7 @@ def test_no_two_registers_overlap() -> None:
 
 
 def test_the_speeds_are_those_of_the_vendors_table() -> None:
-    assert ports.SPEEDS == {0: 9600, 1: 57600, 2: 115200, 3: 1_000_000, 4: 2_000_000, 5: 3_000_000, 6: 4_000_000}
+    assert SPEEDS == {0: 9600, 1: 57600, 2: 115200, 3: 1_000_000, 4: 2_000_000, 5: 3_000_000, 6: 4_000_000}
 
 
 def test_the_vendors_figures_give_the_assumed_stiffness() -> None:

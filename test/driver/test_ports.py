@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import serial
 
+from deltacharger_core.servo_types import SPEEDS
 from deltacharger_driver import ports
 from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.board.protocol import PacketType
@@ -24,7 +25,7 @@ from deltacharger_driver.emulators.servo_bus import ServoBusEmulator, status
 from deltacharger_driver.errors import PortBusy, PortDenied, PortError, PortMissing, PortNotSerial, WrongDevice
 from deltacharger_driver.packets import Packet, encode_packet
 from deltacharger_driver.port_identity import SERVO_SPEEDS, find_servos, identify
-from deltacharger_driver.ports import SPEEDS, PseudoTerminal, RawPort, open_serial
+from deltacharger_driver.ports import PseudoTerminal, RawPort, open_serial
 from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.link import ServoLink
 from deltacharger_driver.servos.registers import BusSettings
