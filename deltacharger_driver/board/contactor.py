@@ -40,7 +40,8 @@ _LATER = 16  # later callers that may reuse one result
 LONGEST_NAME = 64
 """Largest length of a holder's name and of its token."""
 
-STALE_FRAME = 0.1  # s; a frame sampled longer ago does not show contact now; during a lease, LONGEST_LEASE
+STALE_FRAME = 0.1  # s; a frame sampled longer ago does not show contact now
+_STALE_IN_LEASE = LONGEST_LEASE  # s, the same during a lease
 STALE_POWER = 0.5  # s
 _PROBE_SHARED = 0.05  # s for which a probe that several callers awaited is reused
 _FRAMES = 32  # kept; at the highest rate 20 arrive within STALE_FRAME
@@ -475,7 +476,7 @@ class ContactorGuard:
     def _check_contact(self, now: float) -> None:
         newest = self._frames[-1].time if self._frames else -math.inf
         age, renewal = now - newest, self._lease.is_live(now)
-        if age > (LONGEST_LEASE if renewal else STALE_FRAME):
+        if age > (_STALE_IN_LEASE if renewal else STALE_FRAME):
             age_text = "none received" if math.isinf(age) else f"the last is {age * 1e3:.0f} ms old"
             raise LeaseRefused(f"tactile frames are stale ({age_text}); contact is not confirmed")
         since = (newest if renewal else now) - STALE_FRAME
