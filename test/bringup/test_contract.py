@@ -121,7 +121,7 @@ def test_wrong_input_ends_with_2_and_a_noun(
     capsys: Capture, kit: Path, monkeypatch: pytest.MonkeyPatch, line: str
 ) -> None:
     for library in (each for start, names in LIBRARIES.items() if line.startswith(start) for each in names):
-        pytest.importorskip(library)
+        pytest.importorskip(library, reason=f"`{line}` needs {library}; `make optional` installs it")
     monkeypatch.chdir(kit)
     before = sorted(kit.rglob("*"))
     refuses(capsys, line, REFUSED[line])
