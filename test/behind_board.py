@@ -8,11 +8,11 @@ import tempfile
 from pathlib import Path
 
 from deltacharger_driver.board.keeper import BoardKeeper
-from deltacharger_driver.emulators.bench import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.ports import ByteDevice, PseudoTerminal
 
 from .firmware.build import host_programs
+from .plants import BenchPlant
 from .waiting import wait_until
 
 

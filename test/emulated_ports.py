@@ -11,11 +11,12 @@ from collections.abc import Iterator
 
 import pytest
 
-from deltacharger_driver.emulators.bench import BenchArm, BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.ports import PseudoTerminal
 from deltacharger_driver.servos.registers import REGISTERS
+
+from .plants import BenchArm, BenchPlant
 
 IDS = (1, 2, 3)
 

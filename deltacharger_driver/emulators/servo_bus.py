@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Emulated servos on a bus: bytes in, bytes out, with injected faults. docs/emulators.md lists what is not simulated.
 
-Serve a `ServoBusEmulator(BenchArm())` on a `PseudoTerminal` and open the terminal's path like any serial port.
+Serve it on a `PseudoTerminal` and open the terminal's path like any serial port.
 """
 
 from __future__ import annotations

@@ -39,13 +39,15 @@ PARTS = {
 
 def emulate(folder: Path) -> None:
     """Run both emulators until stdin ends."""
-    from deltacharger_driver.emulators.bench import BenchArm, BenchPlant
     from deltacharger_driver.emulators.board import BoardEmulator
     from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
     from deltacharger_driver.ports import PseudoTerminal
+    from deltacharger_sim.parameters import WorldParameters
+    from deltacharger_sim.world import SharedWorld, World
 
-    servos = PseudoTerminal(ServoBusEmulator(BenchArm()), folder / "servo")
-    with servos, PseudoTerminal(BoardEmulator(BenchPlant()), folder / "board"):
+    world = SharedWorld(World(WorldParameters()))
+    servos = PseudoTerminal(ServoBusEmulator(world), folder / "servo")
+    with servos, PseudoTerminal(BoardEmulator(world), folder / "board"):
         processes.serve({})
 
 

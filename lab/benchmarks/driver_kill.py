@@ -33,6 +33,7 @@ import driver_processes as processes
 from driver_processes import CannotMeasure, Figure, Role, at_most
 
 from deltacharger_core import environment
+from deltacharger_core.machine import DOCK_DISTANCE
 
 environment.prepare()
 environment.isolate()
@@ -63,19 +64,24 @@ class TimedBoard:
 
 
 def emulate_bench(folder: Path) -> None:
-    """Emulate a board on a bench plant until stdin ends."""
-    from deltacharger_driver.emulators.bench import BenchPlant
+    """Emulate a board whose target comes to the electrodes on order, until stdin ends."""
     from deltacharger_driver.emulators.board import BoardEmulator
     from deltacharger_driver.ports import PseudoTerminal
+    from deltacharger_sim.charger.simulation import Simulation
+    from deltacharger_sim.world import SharedWorld
 
-    plant = BenchPlant()
+    plant = SharedWorld(Simulation().build_world())
     board = TimedBoard(BoardEmulator(plant))
 
     def watch(closed: bool) -> dict[str, float]:
         return {**_until(lambda: plant.read_power().closed is closed), "heard": board.last}
 
     with PseudoTerminal(board, folder / "board"):
-        orders = {"press": lambda: plant.press(20.0), "closed": lambda: watch(True), "open": lambda: watch(False)}
+        orders = {
+            "press": lambda: plant.world.mechanics.move_along(-DOCK_DISTANCE),
+            "closed": lambda: watch(True),
+            "open": lambda: watch(False),
+        }
         processes.serve(orders)
 
 

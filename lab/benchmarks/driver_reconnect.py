@@ -40,11 +40,14 @@ MESSAGES = {"servo": "good servo_state", "board": "tactile_frame"}
 
 
 def emulate(folder: Path) -> None:
-    """Run both emulators on bench plants, plug and unplug on order, until stdin ends."""
-    from deltacharger_driver.emulators.bench import BenchArm, BenchPlant
+    """Run both emulators on one world, plug and unplug on order, until stdin ends."""
     from deltacharger_driver.emulators.board import BoardEmulator
     from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
     from deltacharger_driver.ports import PseudoTerminal
+    from deltacharger_sim.parameters import WorldParameters
+    from deltacharger_sim.world import SharedWorld, World
+
+    world = SharedWorld(World(WorldParameters()))
 
     def plug(name: str) -> float:
         began = time.monotonic()  # before the port appears: this time counts for the node
@@ -52,8 +55,8 @@ def emulate(folder: Path) -> None:
         return began
 
     processes.take_priority()
-    servo = PseudoTerminal(ServoBusEmulator(BenchArm()), folder / "servo")
-    board = PseudoTerminal(BoardEmulator(BenchPlant()), folder / "board")
+    servo = PseudoTerminal(ServoBusEmulator(world), folder / "servo")
+    board = PseudoTerminal(BoardEmulator(world), folder / "board")
     cables = {"servo": servo, "board": board}
     with servo, board:
         unplugs = {f"unplug {name}": cable.unplug for name, cable in cables.items()}

@@ -26,20 +26,21 @@ from driver_processes import Figure
 
 from deltacharger_core.machine import BAUD_RATE
 from deltacharger_driver.board.keeper import BoardKeeper
-from deltacharger_driver.emulators.bench import BenchArm, BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.ports import PseudoTerminal
 from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.registers import BusSettings
+from deltacharger_sim.parameters import WorldParameters
+from deltacharger_sim.world import SharedWorld, World
 
-ANGLES, CURRENTS = (-0.7, -0.5, 0.2), (0.3, 0.3, 0.3)
+ANGLES, CURRENTS = (-0.7, -0.5, -0.2), (0.3, 0.3, 0.3)
 ROUNDS = 5
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 
 
 def new_servos() -> ServoBusEmulator:
-    return ServoBusEmulator(BenchArm(ANGLES), paced=True)
+    return ServoBusEmulator(SharedWorld(World(WorldParameters())), paced=True)
 
 
 @contextlib.contextmanager
@@ -64,7 +65,7 @@ def behind(board: str, folder: Path) -> Iterator[str]:
 
 @contextlib.contextmanager
 def emulated_board(folder: Path) -> Iterator[str]:
-    board = BoardEmulator(BenchPlant(), servos=new_servos())
+    board = BoardEmulator(SharedWorld(World(WorldParameters())), servos=new_servos())
     with PseudoTerminal(board, folder / "board") as cable, behind(cable.path, folder) as port:
         yield port
 

@@ -17,9 +17,10 @@ from deltacharger_driver.board.protocol import (
     decode_power,
     encode_close,
 )
-from deltacharger_driver.emulators.bench import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.packets import Packet, PacketDecoder, encode_packet
+
+from ..plants import BenchPlant
 
 STEP = 0.005
 LIMITS = ChargeLimits(current=1.0, voltage=29.4, gap_time=0.2)

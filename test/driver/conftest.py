@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 
-from deltacharger_driver.emulators.bench import BenchArm
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.ports import PseudoTerminal
 from deltacharger_driver.servos.bus import ServoBus
@@ -16,6 +15,7 @@ from deltacharger_driver.servos.link import ServoLink
 from deltacharger_driver.servos.registers import BusSettings
 
 from ..emulated_ports import board, board_port, one_cable, servo_port, servos
+from ..plants import BenchArm
 from .servo_host import Host
 from .servo_rig import START, Rig
 from .virtual_line import Clock, Line

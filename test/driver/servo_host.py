@@ -5,11 +5,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from deltacharger_driver.emulators.bench import BenchArm
 from deltacharger_driver.emulators.servo import OK
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.packets import HEADER, READ, WRITE, crc16
 from deltacharger_driver.servos.registers import REGISTERS
+
+from ..plants import BenchArm
 
 
 class Host:

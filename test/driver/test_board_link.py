@@ -30,7 +30,6 @@ from deltacharger_driver.board.protocol import (
     TactileSample,
 )
 from deltacharger_driver.board.receiver import BoardReceiver, BoardRequests
-from deltacharger_driver.emulators.bench import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.errors import NoAnswer, PortGone
 from deltacharger_driver.packets import Packet, PacketDecoder, encode_packet
@@ -38,6 +37,7 @@ from deltacharger_driver.ports import PseudoTerminal, RawPort
 
 from ..chargers import patience
 from ..emulated_ports import Babbler
+from ..plants import BenchPlant
 from ..waiting import host, wait_until
 
 LIMITS = ChargeLimits(10.0, 29.4)

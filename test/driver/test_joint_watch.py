@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 
 from deltacharger_core.machine import JOINT_MAX, JOINT_MIN, JOINT_SPEED, TICKS_PER_TURN
-from deltacharger_driver.emulators.bench import BenchArm
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.errors import ServoFault, TrajectoryRefused
 from deltacharger_driver.servos.controller import ServoController
@@ -20,6 +19,7 @@ from deltacharger_driver.servos.registers import TICK, BusSettings
 from deltacharger_driver.servos.report import ServoPhase
 
 from ..marks import night
+from ..plants import BenchArm
 from .servo_rig import NAMES
 from .virtual_line import Clock, Line
 

@@ -23,7 +23,6 @@ from deltacharger_core.environment import domain
 from deltacharger_core.machine import ChargeLimits
 from deltacharger_driver.board.protocol import LONGEST_SERVO, PacketType
 from deltacharger_driver.board.tactile_node import TactileNode
-from deltacharger_driver.emulators.bench import BenchArm, BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.packets import Packet, PacketDecoder, encode_packet
@@ -39,6 +38,7 @@ from ..chargers import patience
 from ..emulated_ports import Babbler
 from ..marks import rest
 from ..nodes import answer, options
+from ..plants import BenchArm, BenchPlant
 from ..quick import PATIENT_MARGIN
 from ..waiting import host, wait_until
 

@@ -19,7 +19,6 @@ from deltacharger_core.servo_types import SPEEDS
 from deltacharger_driver import ports
 from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.board.protocol import PacketType
-from deltacharger_driver.emulators.bench import BenchArm, BenchPlant
 from deltacharger_driver.emulators.board import EmulatedPads
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator, status
 from deltacharger_driver.errors import PortBusy, PortDenied, PortError, PortMissing, PortNotSerial, WrongDevice
@@ -33,6 +32,7 @@ from deltacharger_sim.pads import ContactSource
 
 from ..emulated_ports import Babbler, written
 from ..marks import rest
+from ..plants import BenchArm, BenchPlant
 from ..waiting import wait_until
 
 _TIOCGEXCL = 0x80045440  # <asm-generic/ioctls.h>; Python's termios lacks it

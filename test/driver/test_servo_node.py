@@ -25,7 +25,6 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from deltacharger_core.machine import JOINTS
-from deltacharger_driver.emulators.bench import BenchArm
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.ports import PseudoTerminal
 from deltacharger_driver.servos.motion import ContactorState
@@ -36,6 +35,7 @@ from deltacharger_ros.node_support import StartupError
 
 from ..chargers import Spin, new_namespace, patience
 from ..nodes import TELLS_PUBLISHERS, call, options
+from ..plants import BenchArm
 from ..quick import PATIENT_MARGIN
 from ..waiting import DEADLINE, host, wait_until
 from .servo_rig import START

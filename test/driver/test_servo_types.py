@@ -17,7 +17,6 @@ import pytest
 
 from deltacharger_core import machine
 from deltacharger_core.servo_types import MX_64, TYPES, XM430_W350, ServoType, contact_band, model_name
-from deltacharger_driver.emulators.bench import BenchArm
 from deltacharger_driver.emulators.servo import ControlTable
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.errors import HandshakeError, RangeError, TrajectoryRefused
@@ -29,6 +28,7 @@ from deltacharger_driver.servos.motion import JointLimits, ServoWaypoint, check
 from deltacharger_driver.servos.registers import GAINS, REGISTERS, BusSettings, current_to_counts, registers_of
 from deltacharger_driver.servos.report import ThermalModel, reserve
 
+from ..plants import BenchArm
 from ..quick import PATIENT_MARGIN
 from .servo_rig import NAMES, START
 from .virtual_line import Clock, Line

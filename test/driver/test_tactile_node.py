@@ -27,13 +27,13 @@ from std_srvs.srv import Trigger
 from deltacharger_driver.board import tactile_node
 from deltacharger_driver.board.protocol import BoardFault
 from deltacharger_driver.board.tactile_node import TactileNode
-from deltacharger_driver.emulators.bench import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.ports import PseudoTerminal
 from deltacharger_ros.executor import Spinner
 
 from ..chargers import new_namespace, patience
 from ..nodes import call, options
+from ..plants import BenchPlant
 from ..waiting import DEADLINE, host, wait_until
 
 pytestmark = pytest.mark.ros

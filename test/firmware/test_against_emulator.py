@@ -24,11 +24,11 @@ from deltacharger_driver.board.protocol import (
     encode_close,
     encode_limit,
 )
-from deltacharger_driver.emulators.bench import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.packets import Packet, PacketDecoder, encode_packet
 
 from ..marks import night, rest
+from ..plants import BenchPlant
 from .board_host import FirmwareBoard, FirmwarePlant
 
 pytestmark = pytest.mark.usefixtures("firmware_boards")

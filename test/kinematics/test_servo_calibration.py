@@ -39,10 +39,10 @@ from deltacharger_kinematics.calibration.servo_walk import PosePlanner, ServoMod
 from deltacharger_kinematics.delta import Delta
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_sim.parameters import ServoParameters, TargetParameters, WorldParameters
-from deltacharger_sim.virtual_arm import VirtualArm
 from test.plain import plain_servo
 
 from ..marks import night, rest
+from ..virtual_arm import VirtualArm
 
 ALONE = TargetParameters(present=False)
 SERVO = plain_servo(stiffness=12.0, friction=0.08, friction_share=0.2, backlash=0.004, torque_constant=1.3)

@@ -20,7 +20,6 @@ from rclpy.parameter import Parameter
 from deltacharger_core.machine import POSITION_P_GAIN, SERVO_STIFFNESS, TORQUE_CONSTANT
 from deltacharger_core.parameters import Bounded, ParameterError, choice, flag, number, numbers, tunable, words
 from deltacharger_docking.ros.docking_node import DockingNode
-from deltacharger_driver.emulators.bench import BenchArm
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.ports import PseudoTerminal
 from deltacharger_driver.servos.servo_node import ServoNode
@@ -30,6 +29,7 @@ from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.tuning import Regularly, Tuning
 
 from ..nodes import options
+from ..plants import BenchArm
 from ..waiting import DEADLINE, wait_until
 
 pytestmark = pytest.mark.ros

@@ -21,7 +21,6 @@ from deltacharger_core.servo_types import TYPES, ServoType
 from deltacharger_driver import ports
 from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.board.protocol import BoardFault
-from deltacharger_driver.emulators.bench import BenchArm, BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.port_identity import SERVO_SPEEDS
@@ -29,6 +28,7 @@ from deltacharger_driver.ports import PseudoTerminal, holders
 from deltacharger_driver.servos.registers import WATCHDOG_TRIPPED
 
 from ...emulated_ports import IDS, written
+from ...plants import BenchArm, BenchPlant
 
 LIKELY = (1_000_000, 57600)
 """Speeds to search if the others do not matter: each takes 0.2 s or more."""

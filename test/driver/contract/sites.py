@@ -14,12 +14,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deltacharger_core.servo_types import MX_64, ServoType
-from deltacharger_driver.emulators.bench import BenchArm, BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.parameters import REPLY_MARGIN
 from deltacharger_driver.ports import PseudoTerminal
 from deltacharger_driver.servos.registers import BusSettings
+
+from ...plants import BenchArm, BenchPlant
 
 DEAD_TAXEL = (0, 3, 4)  # pad, row, column of the one that every emulated board has
 LOAD = 2.0  # ohm between an emulated board's electrodes once a load is connected

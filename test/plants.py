@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Servos, pads and circuit without a simulated world: minimal physics for the emulators.
-
-Tests set loads, forces and voltages directly. Nothing here has geometry; deltacharger_sim has.
-"""
+"""Scripted physics behind the emulators: tests of the driver set loads, forces and voltages directly."""
 
 from __future__ import annotations
 
@@ -27,19 +24,14 @@ PRECHARGE_TIME, PULL_IN_TIME = 0.060, 0.005  # s until the output has the target
 class BenchArm:
     """A `ServoPlant` of servos that follow d · ω = clip(gain · k (reference − angle), ± Kt · limit) + load.
 
-    Thread-safe. Without torque a servo keeps its angle, held by its gear. The servos do not affect each other.
+    Without torque a servo keeps its angle. The servos do not affect each other.
 
     Attributes:
         load: N·m on each servo, toward +angle.
         voltage: V of each servo's supply without load.
-        supply_resistance: Ω of regulator and cable, common to all servos.
+        supply_resistance: Ω, common to all servos.
         temperature: °C of each servo.
         commands: last (torque enabled, reference rad, current limit A, P and D gain) of each servo; None before it.
-
-    Args:
-        angles: initial angles, rad.
-        clock: s, monotonic.
-        torque_constant: Kt, N·m/A.
     """
 
     def __init__(
@@ -48,17 +40,12 @@ class BenchArm:
         clock: Callable[[], float] = time.monotonic,
         torque_constant: float = TORQUE_CONSTANT,
     ) -> None:
-        self._constant = torque_constant
-        self.load = [0.0] * len(angles)
-        self.voltage = [NOMINAL_VOLTAGE] * len(angles)
-        self.supply_resistance = 0.0
-        self.temperature = [30.0] * len(angles)
-        self.commands: list[tuple[bool, float, float, float, float] | None] = [None] * len(angles)
-        self._angle = list(angles)
-        self._velocity = [0.0] * len(angles)
-        self._current = [0.0] * len(angles)
-        self._clock = clock
-        self._at = clock()
+        count = len(angles)
+        self.load, self.temperature = [0.0] * count, [30.0] * count
+        self.voltage, self.supply_resistance = [NOMINAL_VOLTAGE] * count, 0.0
+        self.commands: list[tuple[bool, float, float, float, float] | None] = [None] * count
+        self._angle, self._velocity, self._current = list(angles), [0.0] * count, [0.0] * count
+        self._constant, self._clock, self._at = torque_constant, clock, clock()
         self._lock = threading.RLock()
 
     @property
@@ -70,8 +57,7 @@ class BenchArm:
 
     def torque_enabled(self) -> list[bool]:
         """Return whether each servo has torque."""
-        with self._lock:
-            return [command is not None and command[0] for command in self.commands]
+        return [command is not None and command[0] for command in self.commands]
 
     def command_servo(
         self,
@@ -82,22 +68,17 @@ class BenchArm:
         gain: float = 1.0,
         braking: float = 1.0,
     ) -> None:
-        """Make servo `index` hold `reference` (rad) with at most `current_limit` (A); its damping never changes."""
+        """See ServoPlant."""
         with self._lock:
             self._advance()
             self.commands[index] = (torque_enabled, reference, current_limit, gain, braking)
 
     def read_servo(self, index: int) -> tuple[float, float, float, float, float]:
-        """Return angle (rad), velocity (rad/s), current (A), voltage (V) and temperature (°C) of servo `index`."""
+        """See ServoPlant."""
         with self._lock:
             self._advance()
-            return (
-                self._angle[index],
-                self._velocity[index],
-                self._current[index],
-                self.voltage[index] - self.supply_resistance * sum(map(abs, self._current)),
-                self.temperature[index],
-            )
+            voltage = self.voltage[index] - self.supply_resistance * sum(map(abs, self._current))
+            return self._angle[index], self._velocity[index], self._current[index], voltage, self.temperature[index]
 
     def _advance(self) -> None:
         now = self._clock()
@@ -126,7 +107,7 @@ class BenchArm:
 
 
 class BenchPlant:
-    """A `BoardPlant` with settable forces and circuit; thread-safe.
+    """A `BoardPlant` with settable forces and circuit.
 
     Attributes:
         left, right: (10, 10) N of contact on each pad.
@@ -139,31 +120,19 @@ class BenchPlant:
     Args:
         offset: N added to every taxel, as before a tare.
         noise: N standard deviation.
-        seed: of the noise.
         clock: s.
     """
 
-    def __init__(
-        self,
-        offset: float = 0.12,
-        noise: float = 0.02,
-        seed: int = 0,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self.left = np.zeros((ROWS, COLUMNS))
-        self.right = np.zeros((ROWS, COLUMNS))
-        self.battery = 26.0
+    def __init__(self, offset: float = 0.12, noise: float = 0.02, clock: Callable[[], float] = time.monotonic) -> None:
+        self.left, self.right = np.zeros((2, ROWS, COLUMNS))
+        self.battery, self.resistance = 26.0, 2.0
         self.port = TargetPort(PortParameters())
-        self.resistance = 2.0
         self.detected = int(BoardFault.NONE)
         self.welded = self.dropped = False
         self.measured: dict[str, Any] = {}
-        self._offset = offset
-        self._noise = noise
-        self._random = np.random.default_rng(seed)
-        self._clock = clock
+        self._offset, self._noise, self._random = offset, noise, np.random.default_rng(0)
+        self._clock, self._updated = clock, clock()
         self._lock = threading.RLock()
-        self._updated = clock()
         self._outputs = Outputs()
         self._precharged = self._pulled = math.inf  # s, when output and contacts reach their state
         self._current, self._shown = 0.0, math.nan
@@ -196,8 +165,7 @@ class BenchPlant:
             touches = not math.isinf(self.resistance)
             undriven = self.port.undriven if touches else math.nan
             target = self._shown if self._closed and touches else undriven
-            ready = self._closed or self._updated >= self._precharged
-            output = target if ready else 0.0
+            output = target if self._closed or self._updated >= self._precharged else 0.0
             reading = StageReading(self.battery, target, output, self._current, self._closed, self.detected)
             return reading._replace(**self.measured)
 
