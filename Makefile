@@ -60,7 +60,7 @@ test: $(INSTALLED)  ## what a change needs
 test-rest: $(INSTALLED)  ## what CI runs besides
 	$(SIDE_BY_SIDE) -n 3 -m 'rest and not night'
 
-# Deadlines of this computer are strict here. docs/tests.md says what runs, and when to run it.
+# Deadlines of this computer are strict here. CONTRIBUTING.md says when to run it.
 test-night: $(INSTALLED)  ## what no CI runs; before a release, and a subject's files when it changes
 	$(PYTEST) -m '$(NIGHT)'
 
