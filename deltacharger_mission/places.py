@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 
 from deltacharger_core.frames import rotation
 from deltacharger_kinematics.geometry import Vector
-from deltacharger_mission.parameters import MissionParameters
 
 SEARCH_TURN, SEARCH_STEP = 0.2, 0.15  # rad, m between two views
+SEARCH_TURNS, SEARCH_STEPS = 2, 1  # turns to each side at each distance; steps back
 _LEVEL = 0.5  # least horizontal part of charger_base's z axis that defines a heading
 
 
@@ -23,6 +23,9 @@ class Place:
     y: float
     yaw: float
     frame: str = "map"
+
+    def __str__(self) -> str:
+        return f"({self.x:.2f}, {self.y:.2f}) m, yaw {self.yaw:.2f} rad of {self.frame}"
 
     def at(self, x: float, y: float, yaw: float = 0.0) -> Place:
         """Return the place with these coordinates (m, rad) in this one."""
@@ -100,15 +103,15 @@ class BaseMount:
         return replace(electrodes, yaw=yaw).at(-x, -y)
 
 
-def views(electrodes: Place, distance: float, mount: BaseMount, parameters: MissionParameters) -> Iterator[Place]:
+def views(electrodes: Place, distance: float, mount: BaseMount) -> Iterator[Place]:
     """Yield the places from which to look for electrodes expected at `electrodes`.
 
     The first faces them from `distance` (m). Then follow wider and wider turns to each side, then the same from farther
-    back, in steps. None is nearer than the first. There are (search_steps + 1) · (2 · search_turns + 1) of them.
+    back, in steps. None is nearer than the first.
     """
-    for step in range(parameters.search_steps + 1):
+    for step in range(SEARCH_STEPS + 1):
         place = mount.before(electrodes, distance + step * SEARCH_STEP)
         yield place
-        for turn in range(1, parameters.search_turns + 1):
+        for turn in range(1, SEARCH_TURNS + 1):
             yield place.at(0.0, 0.0, turn * SEARCH_TURN)
             yield place.at(0.0, 0.0, -turn * SEARCH_TURN)

@@ -166,7 +166,6 @@ NODES: dict[str, NodeSpec] = {
         "deltacharger_mission.ros.mission_node.MissionNode",
         parameters=(
             "deltacharger_mission.parameters.MissionParameters",
-            "deltacharger_mission.parameters.MissionNodeParameters",
             _TRANSFORMS,
         ),
         lacks="no action charge_robot",

@@ -20,8 +20,8 @@ from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import DockGoal, ElectrodePose, Observation
 from deltacharger_docking.parameters import DockingNodeParameters, DockingParameters
 from deltacharger_docking.ros.inputs import MessageRefused, _in_order
-from deltacharger_mission.parameters import MissionNodeParameters, MissionParameters
-from deltacharger_mission.ros import messages as mission
+from deltacharger_mission.parameters import MissionParameters
+from deltacharger_mission.ros import others as mission
 from deltacharger_scenes.scene import parse_scene
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.parameters import DetectorNodeParameters
@@ -40,7 +40,7 @@ def charge(x: float, z: float = 0.0) -> None:
     goal = ChargeRobot.Goal()
     goal.target.header.frame_id = "map"
     goal.target.pose.position.x, goal.target.pose.position.z = x, z
-    mission.goal(goal, (0.0, 0.0, 0.0))
+    mission.goal(goal, MissionParameters(navigation="nav2"))
 
 
 def estimate(**pose: float) -> None:
@@ -54,7 +54,7 @@ WAYS: dict[str, tuple[str, Callable[[], Any]]] = {
     "a speed of docking": ("mm/s", lambda: DockingParameters(travel_speed=120.0)),
     "an angle of docking": ("degrees", lambda: DockingParameters(critical_angle=12.0)),
     "the charger's mount, docking": ("millimetres", lambda: DockingNodeParameters(base_pose=MOUNT)),
-    "the charger's mount, missions": ("millimetres", lambda: MissionNodeParameters(base_pose=MOUNT)),
+    "the charger's mount, missions": ("millimetres", lambda: MissionParameters(base_pose=MOUNT)),
     "the camera's mount, detector": ("millimetres", lambda: DetectorNodeParameters(mount=MOUNT)),
     "the camera's mount, file": ("millimetres", lambda: Mount.from_numbers(MOUNT)),
     "the robot's home": ("millimetres", lambda: MissionParameters(home_x=25_000.0)),

@@ -20,17 +20,16 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 
 from deltacharger_core.frames import END_EFFECTOR, LONGEST, TransformParameters
-from deltacharger_core.texts import quantity, titled
-from deltacharger_docking.codes import Busy, Canceled, DockingError, Rejected
+from deltacharger_core.texts import passage, quantity, titled
+from deltacharger_docking.codes import Busy, Canceled, Code, DockingError, Rejected
 from deltacharger_docking.ros.goals import MEASURED
 from deltacharger_docking.ros.messages import in_charger_base, refusal
-from deltacharger_mission.dialogue import MissionOutcome
+from deltacharger_mission.dialogue import MissionOutcome, MissionStatus, Stage
 from deltacharger_mission.machine import MissionMachine
-from deltacharger_mission.parameters import MissionNodeParameters, MissionParameters
+from deltacharger_mission.parameters import MissionParameters
 from deltacharger_mission.places import BaseMount, Place
-from deltacharger_mission.ros import messages as io
+from deltacharger_mission.ros import others as io
 from deltacharger_mission.ros.others import Others
-from deltacharger_mission.stage_log import StageLog
 from deltacharger_ros import node_support
 from deltacharger_ros.action_server import GoalHandle, Work, WorkServer
 from deltacharger_ros.diagnostics import OK, WARN, Diagnostics
@@ -38,13 +37,11 @@ from deltacharger_ros.frames import Frames, TransformError
 from deltacharger_ros.log import Log
 from deltacharger_ros.messages import duration, to_result
 from deltacharger_ros.parameters import declare_all, reject_unknown
-from deltacharger_ros.tuning import Tuning
 
 _TICK = 0.05  # s
 _FEEDBACK = 1.0  # s between feedbacks without a change
 _DIAGNOSTICS = 1.0  # s
 _CLOSING = 3.0  # s for cancels to arrive and the contactor to open
-_WAITING_MAX = 2  # goals that join one mission, each in a worker
 _SHUT_DOWN = "mission_node was shut down; the robot stays where it is, undock before you drive it"
 
 
@@ -67,14 +64,37 @@ def load_navigation(name: str) -> Any:
     return NavigateToPose
 
 
+class StageLog:
+    """Turns changes of the machine into log lines: one for each stage and each failure of the mission `title`."""
+
+    def __init__(self, title: str) -> None:
+        self._title = title
+        self._stage, self._entered = Stage.WAIT, 0.0
+        self._code = Code.NONE
+
+    def lines(self, status: MissionStatus) -> list[str]:
+        """Return the lines for what changed."""
+        failed = status.code and status.code is not self._code
+        self._code = status.code
+        news = [f"{int(status.code)} {status.code.name}: {status.message}"] if failed else []
+        if status.stage is self._stage:
+            return [f"{self._title}: {status.stage.name.lower()}, {news[0]}"] if news else []
+        lasted, counts = status.elapsed - self._entered, {"views": status.views, "moves": status.moves}
+        at = [] if status.place is None else [f"base at {status.place}"]
+        done = [f"{name} {count}" for name, count in counts.items() if count]
+        line = passage(self._title, self._stage.name, status.stage.name, lasted, *news, *at, *done)
+        self._stage, self._entered = status.stage, status.elapsed
+        return [line]
+
+
 class _Mission(Work):
     """The mission being served."""
 
-    def __init__(self, handle: GoalHandle) -> None:
+    def __init__(self, handle: GoalHandle, docked: Any) -> None:
         super().__init__(handle)
-        self.request_id = handle.request.request_id
-        self.docked: Any = None  # the result of its last docking
-        self.cancels = 0  # cancel requests that the machine knows
+        self.handle, self.docked = handle, docked  # the result of its last docking
+        self.log = StageLog(titled("charge_robot", handle.request.request_id))
+        self.is_canceled = False  # the machine knows it
 
 
 class MissionNode(Node):
@@ -83,28 +103,28 @@ class MissionNode(Node):
     def __init__(self, **kwargs: Any) -> None:
         self._closed = True  # nothing to cancel before the node is complete
         super().__init__("mission_node", **kwargs)
-        settings = declare_all(self, MissionParameters, form="{text}, {unit}")
-        given, transforms = declare_all(self, MissionNodeParameters), declare_all(self, TransformParameters)
+        self._given = given = declare_all(self, MissionParameters, form="{text}, {unit}")
+        transforms = declare_all(self, TransformParameters)
         reject_unknown(self)
         try:
             mount = BaseMount(given.base_pose)
         except ValueError as error:
             raise node_support.StartupError(f"mission_node: parameter 'base_pose': {error}") from error
         navigate_to_pose = load_navigation(given.navigation)
-        self._frames = Frames(self, transforms, given.base_frame, given.base_pose)
-        self._map_frame, self._end_effector = given.map_frame, transforms.named(END_EFFECTOR)
         self._drives = navigate_to_pose is not None
-        self._machine = MissionMachine(settings, mount, self._home(settings))
-        trees = given.behavior_tree, given.precise_behavior_tree
+        self._frames = Frames(self, transforms, given.base_frame, given.base_pose)
+        self._end_effector = transforms.named(END_EFFECTOR)
+        home = Place(given.home_x, given.home_y, given.home_yaw, given.map_frame) if self._drives else None
+        self._machine = MissionMachine(given, mount, home)
         self._others = Others(
             self,
             navigate_to_pose,
-            trees,
+            given,
             lambda detection: in_charger_base(detection, self._frames),
             self._end_effector,
         )
         self._diagnostics = Diagnostics(self)
-        self._log, self._stages = Log(self), StageLog()
+        self._log = Log(self)
         self._lock = threading.RLock()
         self._mission: _Mission | None = None
         self._diagnosed = -math.inf
@@ -119,19 +139,9 @@ class MissionNode(Node):
             DockingError,
             lambda outcome, mission: _result(outcome, self._unknown_dock() if mission is None else mission.docked),
         )
-        Tuning(self, settings, self._tune)
         self._closed = False
         self._thread = threading.Thread(target=self._loop, name="mission loop", daemon=True)
         self._thread.start()
-
-    def _home(self, settings: MissionParameters) -> Place | None:
-        """Return the home of the base, with navigation."""
-        place = Place(settings.home_x, settings.home_y, settings.home_yaw, self._map_frame)
-        return place if self._drives else None
-
-    def _tune(self, settings: MissionParameters) -> str:
-        with self._lock:
-            return self._machine.tune(settings, self._home(settings))
 
     def close(self) -> None:
         """Cancel docking and driving, wait until charging has ended, and end the goal. Safe to call twice.
@@ -178,13 +188,12 @@ class MissionNode(Node):
         """Hand over a finished mission, publish feedback if the stage changed, and diagnostics when due."""
         mission, status = self._mission, self._machine.status
         if mission is not None:
-            cancels = sum(handle.is_cancel_requested for handle in mission.handles)
-            if cancels > mission.cancels:
-                mission.cancels = cancels
+            if mission.handle.is_cancel_requested and not mission.is_canceled:
+                mission.is_canceled = True
                 self._machine.cancel()
-            if mission.is_due((status.stage, len(mission.handles)), _FEEDBACK):  # at once after a client has joined
+            if mission.is_due(status.stage, _FEEDBACK):
                 mission.feed_back(ChargeRobot.Feedback(stage=int(status.stage), elapsed=duration(status.elapsed)))
-            for line in self._stages.lines(status):
+            for line in mission.log.lines(status):
                 self._log.info(line)
         outcome, self._machine.outcome = self._machine.outcome, None
         if outcome is not None:
@@ -206,40 +215,29 @@ class MissionNode(Node):
         status = self._machine.status
         stage = status.stage.name if self._machine.busy else "IDLE"
         level, text = (WARN, f"{status.code.name}: {status.message}") if status.code else (OK, stage)
-        where = status.place
         entries = {
             "stage": stage,
             "request_id": status.request_id,
             "elapsed": quantity(status.elapsed, ".1f", "s"),
             "views": status.views,
             "moves": status.moves,
-            "place": "unknown" if where is None else f"{where.x:.3f} {where.y:.3f} {where.yaw:.3f} {where.frame}",
+            "place": status.place or "unknown",
             "drives": self._drives,
         }
         self._diagnostics.report(level, text, entries, "mission")
 
     def _begin(self, handle: GoalHandle) -> _Mission:
-        """Begin a mission, or join the running one with the same request_id.
+        """Begin a mission.
 
         Raises:
             DockingError: the goal is refused.
         """
-        if (joined := self._joined(handle)) is not None:
-            return joined
         target, mount = self._where(handle.request)
         with self._lock:
-            settings = self._machine.parameters
-            electrodes = (settings.electrodes_x, settings.electrodes_y, settings.electrodes_yaw)
-            goal = io.goal(handle.request, electrodes if self._drives else None, target)
+            goal = io.goal(handle.request, self._given, target)
             self._machine.check(goal)
             if self._closed:
                 raise Busy("mission_node is shutting down; send the goal again when it is back")
-            if (joined := self._joined(handle)) is not None:
-                return joined
-            if self._mission is not None:
-                running = self._mission.request_id
-                raise Busy(f"another mission is under way (request_id '{running}'): cancel it, or wait")
-            mission = _Mission(handle)
             try:
                 self._machine.start(goal, self._others.observe(), mount)
             except DockingError:
@@ -247,43 +245,28 @@ class MissionNode(Node):
             except Exception:  # it may have begun; without this, nothing would end it
                 self._others.carry_out(self._machine.emergency())
                 raise
-            self._others.dock_result = mission.docked = self._unknown_dock()
-            self._mission = mission
-            self._stages.begin(title := titled("charge_robot", mission.request_id))
-            self._log.info(f"{title}: accepted")
+            self._others.dock_result = self._unknown_dock()
+            self._mission = mission = _Mission(handle, self._others.dock_result)
+            self._log.info(f"{titled('charge_robot', goal.request_id)}: accepted")
             return mission
-
-    def _joined(self, handle: GoalHandle) -> _Mission | None:
-        """Return the running mission if the goal joins it."""
-        with self._lock:
-            running, name = self._mission, handle.request.request_id
-            if running is None or not name or name != running.request_id or len(running.handles) >= _WAITING_MAX:
-                return None
-            running.handles.append(handle)
-            return running
 
     def _unknown_dock(self) -> Any:
         return io.unknown_dock(self._end_effector)
 
-    def _target(self, target: PoseStamped) -> PoseStamped:
-        """Return a target in map_frame if tf2_ros is installed: in a frame of the robot it would move with the robot.
-
-        Raises:
-            TransformError: its frame is unknown at present.
-        """
-        frame = target.header.frame_id
-        if not (self._drives and self._frames.follows_tf and 0 < len(frame) <= LONGEST) or frame == self._map_frame:
-            return target
-        return io.in_frame(target, self._map_frame, self._frames.pose_in(self._map_frame, frame, target.header.stamp))
-
     def _where(self, request: Any) -> tuple[PoseStamped, BaseMount]:
         """Return the target and the mount of the arm; may wait for tf.
+
+        The target is in map_frame if tf2_ros is installed: in a frame of the robot it would move with the robot.
 
         Raises:
             Rejected: they are unknown at present.
         """
+        target, fixed = request.target, self._given.map_frame
+        frame = target.header.frame_id
         try:
-            return self._target(request.target), BaseMount(self._frames.base_pose())
+            if self._drives and self._frames.follows_tf and 0 < len(frame) <= LONGEST and frame != fixed:
+                target = io.in_frame(target, fixed, self._frames.pose_in(fixed, frame, target.header.stamp))
+            return target, BaseMount(self._frames.base_pose())
         except TransformError as error:
             raise refusal(error) from error
         except ValueError as error:

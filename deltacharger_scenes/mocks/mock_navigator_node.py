@@ -26,9 +26,9 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 
 from deltacharger_mission.places import Place
-from deltacharger_mission.ros.messages import fill_pose
-from deltacharger_mission.ros.messages import place as read_place
 from deltacharger_mission.ros.mission_node import load_navigation
+from deltacharger_mission.ros.others import fill_pose
+from deltacharger_mission.ros.others import place as read_place
 from deltacharger_ros import node_support
 from deltacharger_ros.action_server import KeepingServer
 from deltacharger_ros.messages import duration

@@ -18,7 +18,7 @@ from deltacharger_docking.observation import Observation
 from deltacharger_docking.parameters import DockingNodeParameters, DockingParameters
 from deltacharger_docking.ros.docking_node import DockingNode
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_mission.parameters import MissionNodeParameters, MissionParameters
+from deltacharger_mission.parameters import MissionParameters
 from deltacharger_scenes.overrides import problems
 from deltacharger_scenes.scene import parse_scene
 
@@ -72,7 +72,7 @@ def test_tuning_is_refused_while_the_arm_retracts() -> None:
 
 
 ROOT = Path(__file__).resolve().parents[2]
-TABLES = (DockingParameters, DockingNodeParameters, MissionParameters, MissionNodeParameters)
+TABLES = (DockingParameters, DockingNodeParameters, MissionParameters)
 
 
 def other(each: Declaration) -> Any:

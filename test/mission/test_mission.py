@@ -15,10 +15,11 @@ from deltacharger_core.frames import Pose, composed
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_docking.codes import Busy, Canceled, Code, Rejected, State
 from deltacharger_docking.observation import BasePose, ElectrodePose
+from deltacharger_mission import machine
 from deltacharger_mission.dialogue import DockingReport, End, MissionGoal, Stage, Task, TaskReply, TaskRequest
 from deltacharger_mission.machine import FACING_STDDEV_MAX, GAIN_TURN_MIN
 from deltacharger_mission.parameters import MissionParameters
-from deltacharger_mission.places import SEARCH_STEP, SEARCH_TURN, BaseMount, Place, views, wrapped
+from deltacharger_mission.places import SEARCH_STEPS, SEARCH_TURNS, BaseMount, Place
 
 from .missions import (
     FORWARD,
@@ -27,7 +28,6 @@ from .missions import (
     Answer,
     Truth,
     World,
-    detect,
     dock,
     drive,
     ends,
@@ -43,13 +43,12 @@ QUICK = MissionParameters(
     home_y=HOME.y,
     home_yaw=HOME.yaw,
     drive_timeout=60.0,
-    search_timeout=120.0,
-    dock_timeout=30.0,
     charge_timeout=300.0,
-    mission_timeout=1000.0,
 )
-LONGEST = 1000.0 + 2 * 30.0 + 2 * (60.0 + 1.0) + 2 * 2.0 + 60.0 + 1.0
-"""Longest time (s) of a mission with QUICK: its limit and its final steps."""
+ROUND = machine.SEARCH_TIMEOUT + 60.0 + machine.DOCK_TIMEOUT + 300.0 + 2 * (machine.UNDOCK_TIMEOUT + 1.0)
+LONGEST = 10.0 + (machine.MOVES_MAX + 3) * ROUND + 2 * machine.CANCEL_TIMEOUT + 2 * 60.0
+"""Longest time (s) of a mission with QUICK: a search, a move, a docking and two undockings for each move and each
+renewed docking, and the final steps."""
 
 angles = st.floats(-math.pi, math.pi)
 
@@ -103,54 +102,13 @@ def test_it_docks_with_any_mount_of_the_arm_and_any_direction_of_the_target(
     x, y, z = world.seen().position
     assert (x, y) == pytest.approx((0.0, 0.0), abs=0.04)
     assert z == pytest.approx(DOCK_DISTANCE, abs=0.04)
-    assert world.machine.status.moves <= QUICK.stands_max
-
-
-def test_parameters_change_only_between_missions() -> None:
-    world = quick()
-    elsewhere, wanted = Place(1.0, -2.0, 0.3), replace(QUICK, charge_timeout=100.0)
-
-    def look(world: World, request: TaskRequest) -> tuple[float, TaskReply] | None:
-        assert world.machine.tune(wanted, elsewhere).startswith("a goal is running")
-        assert world.machine.parameters is QUICK
-        return detect(world, request)
-
-    world.answers[Task.DETECT] = look
-    assert world.run(MissionGoal(TARGET, stop_energy=1000.0)).success
-    assert world.base.distance(HOME) < 1e-9
-    world.answers[Task.DETECT] = detect
-    assert world.machine.tune(wanted, elsewhere) == ""
-    assert world.run(MissionGoal(TARGET, stop_energy=1000.0)).success
-    assert world.base.distance(elsewhere) < 1e-9
-
-
-@given(angles, angles)
-def test_wrapped_angles_differ_by_whole_turns(a: float, b: float) -> None:
-    angle = wrapped(a + b)
-    assert -math.pi < angle <= math.pi
-    assert math.remainder(angle - a - b, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-9)
+    assert world.machine.status.moves <= machine.MOVES_MAX
 
 
 def test_a_mount_that_faces_the_ground_or_is_not_a_pose_is_refused() -> None:
     for pose in ((0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0), (0.0,) * 7, (math.nan, *FORWARD[1:]), FORWARD[:6]):
         with pytest.raises(ValueError, match="base_pose"):
             BaseMount(pose)
-
-
-@given(st.integers(0, 5), st.integers(0, 8), st.floats(0.08, 2.0), angles)
-def test_the_views_are_bounded_and_never_nearer_than_the_first(
-    steps: int, turns: int, distance: float, facing: float
-) -> None:
-    parameters = MissionParameters(search_steps=steps, search_turns=turns)
-    electrodes = Place(1.0, 2.0, facing)
-    places = list(views(electrodes, distance, BaseMount(FORWARD), parameters))
-    assert len(places) == (steps + 1) * (2 * turns + 1)
-    assert places == list(views(electrodes, distance, BaseMount(FORWARD), parameters))
-    first = places[0]
-    for place in places:
-        gap = place.distance(electrodes)
-        assert distance - 1e-9 <= gap <= distance + steps * SEARCH_STEP + 1e-9
-        assert place.turn(first) <= turns * SEARCH_TURN + 1e-9 or turns * SEARCH_TURN > math.pi
 
 
 def test_electrodes_beside_the_first_view_are_found_from_another() -> None:
@@ -216,7 +174,7 @@ def not_home(world: World, request: TaskRequest) -> Any:
 BLOCKED = ends(End.FAILED, "blocked")
 FOR_EVER = fails(Code.INTERNAL, after=1e6, charging=True)
 WAY_HOME = [Stage.UNDOCK, Stage.RETURN]
-VIEWS = (QUICK.search_steps + 1) * (2 * QUICK.search_turns + 1)
+VIEWS = (SEARCH_STEPS + 1) * (2 * SEARCH_TURNS + 1)
 ENDS: list[tuple[dict[Task, Answer], Code, bool, bool, list[Stage], str]] = [
     # answers, code, retriable, returned, last stages, a word of the message
     (
@@ -234,12 +192,12 @@ ENDS: list[tuple[dict[Task, Answer], Code, bool, bool, list[Stage], str]] = [
     ({Task.DRIVE: BLOCKED}, Code.UNREACHABLE, True, False, [Stage.DRIVE, Stage.RETURN], "then"),
     ({Task.DRIVE: ends(End.CANCELED)}, Code.UNREACHABLE, True, False, [Stage.DRIVE, Stage.RETURN], "then"),
     ({Task.DRIVE: ends(End.LOST)}, Code.TIMEOUT, True, False, [Stage.DRIVE, Stage.RETURN], "then"),
-    ({Task.DRIVE: silent}, Code.TIMEOUT, True, False, [Stage.DRIVE, Stage.RETURN], "drive_timeout"),
+    ({Task.DRIVE: silent}, Code.TIMEOUT, True, False, [Stage.DRIVE, Stage.RETURN], "60 s"),
     ({Task.DRIVE: in_turn(drive, BLOCKED, drive)}, Code.UNREACHABLE, True, True, [Stage.RETURN], "blocked"),
     ({Task.DRIVE: not_home}, Code.UNREACHABLE, False, False, WAY_HOME, "charged"),
     ({Task.DETECT: silent}, Code.ELECTRODES_NOT_FOUND, True, True, [Stage.RETURN], "detect_electrodes"),
-    ({Task.DOCK: silent}, Code.TIMEOUT, True, True, WAY_HOME, "dock_timeout"),
-    ({Task.DOCK: FOR_EVER}, Code.TIMEOUT, True, True, WAY_HOME, "charge_timeout"),
+    ({Task.DOCK: silent}, Code.TIMEOUT, True, True, WAY_HOME, "3660 s"),
+    ({Task.DOCK: FOR_EVER}, Code.TIMEOUT, True, True, WAY_HOME, "300 s"),
     ({Task.UNDOCK: fails(Code.STUCK, True)}, Code.STUCK, False, False, [Stage.UNDOCK], "stays"),
     ({Task.UNDOCK: fails(Code.CONTACTOR_WELDED)}, Code.CONTACTOR_WELDED, False, False, [Stage.UNDOCK], "stays"),
     ({Task.UNDOCK: silent}, Code.TIMEOUT, False, False, [Stage.UNDOCK], "60 s"),
@@ -264,21 +222,15 @@ def test_a_mission_ends_with_the_code_of_its_first_error_and_if_possible_at_home
     assert (world.base == HOME) is returned
     asked = [request.task for request in world.requests]
     if word == "stays":
-        assert asked.count(Task.UNDOCK) == QUICK.undock_attempts
+        assert asked.count(Task.UNDOCK) == machine.UNDOCK_ATTEMPTS
     if code is Code.ELECTRODES_NOT_FOUND and Task.DOCK not in asked:
         assert world.machine.status.views in (1, VIEWS)
-
-
-def test_a_mission_has_its_own_limit() -> None:
-    outcome = World(None, replace(QUICK, mission_timeout=50.0), answers={Task.DOCK: FOR_EVER}).run()
-    assert (outcome.code, outcome.returned) == (Code.TIMEOUT, True)
-    assert "mission_timeout" in outcome.message
 
 
 @pytest.mark.parametrize(
     ("base", "moves"),
     [
-        (BasePose(0.0, 0.0, 0.0, 0.2), QUICK.stands_max),
+        (BasePose(0.0, 0.0, 0.0, 0.2), machine.MOVES_MAX),
         (BasePose.before((0.0, 0.0, DOCK_DISTANCE), 0.9 * GAIN_TURN_MIN), 1),
     ],
     ids=["always askew", "a turn that is not worth it"],
@@ -312,7 +264,7 @@ def test_a_cancel_undocks_and_returns_but_during_the_return_it_stops(stage: Stag
         assert world.stages[-2:] == [Stage.UNDOCK, Stage.RETURN]
 
 
-def rests(after: float = 100.0) -> Answer:
+def rests(after: float) -> Answer:
     """Return docking without a contactor (power: none): it rests on the target and measures no current."""
 
     def answer(world: World, request: TaskRequest) -> Any:
@@ -322,21 +274,16 @@ def rests(after: float = 100.0) -> Answer:
     return answer
 
 
-def test_an_unmeasured_charge_is_not_claimed() -> None:
-    world = World(answers={Task.DOCK: rests()})
+def test_an_unmeasured_charge_is_not_claimed_and_has_the_time_limit_of_charging() -> None:
+    world = quick({Task.DOCK: rests(200.0)})
     outcome = world.run()
     assert (outcome.success, outcome.returned) == (True, True)
     assert Stage.CHARGE not in world.stages
     assert "charged" not in outcome.message
     assert outcome.notice == "it hangs on the battery"
-
-
-def test_docking_with_power_none_has_the_time_limit_of_charging() -> None:
-    limits = replace(QUICK, dock_timeout=50.0, charge_timeout=500.0)
-    assert World(parameters=limits, answers={Task.DOCK: rests(400.0)}).run().success
-    outcome = World(parameters=limits, answers={Task.DOCK: rests(600.0)}).run()
+    outcome = quick({Task.DOCK: rests(400.0)}).run()
     assert (outcome.code, outcome.returned) == (Code.TIMEOUT, True)
-    assert "charge_timeout" in outcome.message
+    assert "300 s" in outcome.message
 
 
 STOPPED = fails(Code.NO_CHARGE_CURRENT, True, 60.0, charging=True)
@@ -439,16 +386,6 @@ def test_a_second_mission_and_impossible_goals_are_refused() -> None:
     assert caught.value.retriable
 
 
-def test_several_cancels_during_the_return_end_the_mission_once() -> None:
-    world = quick({Task.DRIVE: lambda world, request: None if request.place == HOME else drive(world, request)})
-    world.machine.start(MissionGoal(TARGET), world._observe(()))
-    while world.machine.outcome is None:
-        world.step()
-        if world.stages[-1] is Stage.RETURN:
-            world.machine.cancel()
-    assert (world.machine.outcome.code, world.machine.outcome.returned) == (Code.CANCELED, False)
-
-
 def test_a_mission_passes_no_limit_and_no_cancel_to_the_next() -> None:
     world = quick()
     assert world.run(cancel_in=Stage.RETURN).code is Code.CANCELED
@@ -471,7 +408,7 @@ def test_a_stationary_charger_waits_for_its_target_and_does_not_drive() -> None:
 
 def test_a_stationary_charger_gives_up_in_time_and_suggests_a_base_pose() -> None:
     world = quick({Task.DETECT: ends(End.FAILED, "nothing")}, drives=False)
-    outcome = world.run(MissionGoal(None), limit=QUICK.search_timeout + 30.0)
+    outcome = world.run(MissionGoal(None), limit=machine.SEARCH_TIMEOUT + 30.0)
     assert (outcome.code, outcome.returned) == (Code.ELECTRODES_NOT_FOUND, True)
     world = quick(drives=False)
     world.base = BaseMount(FORWARD).before(TARGET, 0.3)
@@ -544,11 +481,10 @@ def test_a_mission_ends_in_time_with_a_code_for_any_answers(
     assert outcome.success is (outcome.code is Code.NONE)
     assert outcome.code in set(Code)
     assert outcome.message
-    assert status.moves <= QUICK.stands_max
-    per_search = (QUICK.search_steps + 1) * (2 * QUICK.search_turns + 1)
-    assert status.views <= (QUICK.stands_max + 1) * per_search or not drives
+    assert status.moves <= machine.MOVES_MAX
+    assert status.views <= (machine.MOVES_MAX + 1) * VIEWS or not drives
     docks = sum(request.task is Task.DOCK for request in world.requests)
-    assert docks <= QUICK.stands_max + 1
+    assert docks <= machine.MOVES_MAX + 1
     if outcome.returned:
         assert not world.attached
         assert not drives or world.base.distance(HOME) < 1e-9

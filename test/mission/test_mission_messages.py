@@ -23,8 +23,8 @@ from deltacharger_mission.dialogue import End, MissionGoal, MissionObservation, 
 from deltacharger_mission.machine import MissionMachine
 from deltacharger_mission.parameters import MissionParameters
 from deltacharger_mission.places import BaseMount, Place
-from deltacharger_mission.ros import messages as io
-from deltacharger_mission.stage_log import StageLog
+from deltacharger_mission.ros import others as io
+from deltacharger_mission.ros.mission_node import StageLog
 
 pytestmark = pytest.mark.ros
 
@@ -99,7 +99,7 @@ def test_long_messages_are_cut_and_long_frame_names_refused() -> None:
     goal = ChargeRobot.Goal()
     goal.target.header.frame_id = LONG
     with pytest.raises(Rejected, match="frame_id") as refusal:
-        io.goal(goal, (0.0, 0.0, 0.0))
+        io.goal(goal, MissionParameters(navigation="nav2"))
     assert len(str(refusal.value)) < MESSAGE_MAX
     machine = MissionMachine(MissionParameters(), BaseMount((0, 0, 0, 0.5, 0.5, 0.5, 0.5)), None)
     with pytest.raises(Rejected, match="request_id"):
@@ -114,8 +114,7 @@ def test_an_invalid_docking_state_is_ignored() -> None:
 
 
 def test_each_stage_and_each_failure_is_logged_once() -> None:
-    log = StageLog()
-    log.begin("charge_robot order-1")
+    log = StageLog("charge_robot order-1")
     status = MissionStatus()
     steps: list[tuple[dict[str, Any], str]] = [
         ({}, ""),

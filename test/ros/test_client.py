@@ -22,7 +22,7 @@ from rclpy.time import Time
 
 from deltacharger_docking.codes import Code, DockingError
 from deltacharger_docking.observation import DockingOutcome
-from deltacharger_mission.ros.messages import unknown_dock
+from deltacharger_mission.ros.others import unknown_dock
 from deltacharger_ros import action_caller, action_server
 from deltacharger_ros import client as client_module
 from deltacharger_ros.action_caller import FORGOTTEN, LOST, ActionCaller, SentGoal
