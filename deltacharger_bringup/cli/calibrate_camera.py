@@ -14,7 +14,7 @@ import numpy as np
 
 from deltacharger_bringup.cli.arguments import between, file_to_write, integer, namespace_option
 from deltacharger_bringup.cli.calibrate_kinematics import geometry_of
-from deltacharger_bringup.cli.camera_views import VIEWS, SeenViews, ViewsError, gather, read_pixels, read_rows
+from deltacharger_bringup.cli.camera_views import VIEWS, SeenViews, ViewsError, gather, read_rows
 from deltacharger_bringup.cli.charger import prepare, ros_context
 from deltacharger_bringup.cli.output import CommandError, Interrupts, Result, WrongInput, conclude, wrong_input
 from deltacharger_core.files import sha256
@@ -24,9 +24,9 @@ from deltacharger_kinematics.calibration.data import MILLIMETRE
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_vision.cameras.ros_formats import load_camera_info
 from deltacharger_vision.errors import VisionError
-from deltacharger_vision.hand_eye.board import AprilTag, Board, markers_in, parse_board
+from deltacharger_vision.hand_eye.board import Board
 from deltacharger_vision.hand_eye.calibrate import Calibration, calibrate, doubts, held_out_rms, notes
-from deltacharger_vision.hand_eye.views import Beliefs
+from deltacharger_vision.hand_eye.fit import Beliefs
 from deltacharger_vision.image_files import CAMERA_INFO, require_opencv
 from deltacharger_vision.mount import Mount, quaternion
 from deltacharger_vision.rendering.board_drawing import board_svg
@@ -34,7 +34,6 @@ from deltacharger_vision.rendering.board_drawing import board_svg
 _FAR = (0.020, math.radians(10.0))
 """Distance from the believed mount, m and rad; beyond it a wrong input is likelier than a bent bracket."""
 _SATURATED = 250  # of 255
-_HINTED = 3  # images searched for other markers
 _DOCK = (0.0, 0.0, DOCK_DISTANCE)
 """Point of charger_base (m) for which the mount's error is reported: the dock."""
 
@@ -69,15 +68,11 @@ def add_camera(parser: argparse.ArgumentParser) -> None:
     text = "believed mount, for comparison and for the choice of positions (default: nominal)"
     add("--mount", metavar="FILE", help=text)
     add("--force", action="store_true", help="overwrite FILE, and write a doubtful mount")
-    text = "every Nth image judges a fit to the others (5)"
-    add("--held-out-every", type=integer(2, 1000), default=5, metavar="N", help=text)
     add = parser.add_argument_group("the board on the platform").add_argument
-    text = "apriltag:FAMILY:NUMBER or charuco:DICTIONARY:COLUMNSxROWS (apriltag:36h11:0)"
+    text = "apriltag:FAMILY:NUMBER (apriltag:36h11:0)"
     add("--board", default="apriltag:36h11:0", metavar="NAME", help=text)
-    text = "side of the tag's black square, or of a chessboard square (40)"
+    text = "side of the tag's black square (40)"
     add("--size-mm", type=between(2.0, 1000.0), default=40.0, metavar="MM", help=text)
-    text = "side of a marker on a ChArUco board (three quarters of a square)"
-    add("--marker-mm", type=between(1.0, 1000.0), metavar="MM", help=text)
     for axis in "xyz":
         text = f"measured position of its centre along {axis} of end_effector"
         add(f"--board-{axis}-mm", type=between(-500.0, 500.0), metavar="MM", help=text)
@@ -86,8 +81,6 @@ def add_camera(parser: argparse.ArgumentParser) -> None:
     add("--board-stddev-mm", type=between(0.0, 50.0), default=0.5, metavar="MM", help=text)
     text = "of the constant error of each arm angle (0.1)"
     add("--joint-stddev-deg", type=between(0.0, 10.0), default=0.1, metavar="DEG", help=text)
-    text = "scatter of the platform's position, corrected by the images (0.1)"
-    add("--arm-stddev-mm", type=between(0.001, 50.0), default=0.1, metavar="MM", help=text)
     add = parser.add_argument_group("with a running charger").add_argument
     add("--take", type=integer(5, 500), metavar="N", help="first fill FOLDER up to N views; 20 are enough")
     add("--z-max-mm", type=between(5.0, 110.0), default=60.0, metavar="MM", help="largest z of the platform (60)")
@@ -103,11 +96,7 @@ def camera(options: argparse.Namespace) -> Result:
         for flag in ("out", "print"):
             if getattr(options, flag) is not None:
                 file_to_write(f"--{flag}", getattr(options, flag), overwrite=options.force)
-        board = parse_board(
-            options.board,
-            options.size_mm * MILLIMETRE,
-            None if options.marker_mm is None else options.marker_mm * MILLIMETRE,
-        )
+        board = Board.named(options.board, options.size_mm * MILLIMETRE)
         if options.print is not None:
             return _print(options, board)
         if options.views is None:
@@ -133,9 +122,9 @@ def _print(options: argparse.Namespace, board: Board) -> Result:
     if Path(options.print).suffix.lower() != ".svg":
         raise WrongInput(f"--print {options.print}: give a name that ends in .svg")
     Path(options.print).write_text(board_svg(board), encoding="utf-8")
-    width, height = (length / MILLIMETRE for length in board.pattern)
-    how = f"print it at 100 % (no 'fit to page') on matte paper; the pattern must measure {width:g} × {height:g} mm"
-    return Result(f"wrote {options.print}", {"written": options.print, "pattern": list(board.pattern)}, remarks=[how])
+    side = board.size / MILLIMETRE
+    how = f"print it at 100 % (no 'fit to page') on matte paper; the black square must measure {side:g} × {side:g} mm"
+    return Result(f"wrote {options.print}", {"written": options.print, "size": board.size}, remarks=[how])
 
 
 def _offset(options: argparse.Namespace) -> Vector:
@@ -160,21 +149,21 @@ def _judge(options: argparse.Namespace, board: Board, offset: Vector, geometry: 
     intrinsics = load_camera_info(info)
     seen = gather(folder, rows, board, intrinsics, geometry)
     if not seen.views:
-        raise CommandError(_unseen(folder, board, [row.image for row in rows]), views=len(rows))
+        hint = f"is it sharp, lit, not cut off, and {board.name} at all?"
+        raise CommandError(f"none of {len(rows)} images shows the board: {hint}", views=len(rows))
     beliefs = Beliefs(
         offset,
         offset_stddev=options.board_stddev_mm * MILLIMETRE,
         joint_stddev=math.radians(options.joint_stddev_deg),
-        arm_stddev=options.arm_stddev_mm * MILLIMETRE,
     )
-    found = calibrate(seen.views, intrinsics, beliefs, options.held_out_every)
+    found = calibrate(seen.views, intrinsics, beliefs)
     away = _away(found.mount, Mount.load(options.mount) if options.mount else Mount.default())
     remarks = [*notes(found, seen.names), *_slips(away)]
     if seen.without:
         remarks.append(f"{len(seen.without)} of {len(rows)} images do not show the board: {_few(seen.without)}")
-    if isinstance(board, AprilTag) and np.median([view.sighting.white for view in seen.views]) >= _SATURATED:
+    if np.median([view.sighting.white for view in seen.views]) >= _SATURATED:
         remarks.append("the print's white is over-exposed, which makes a tag look smaller: lower the camera's exposure")
-    return _Judged(found, seen, away, doubts(found, board.length, seen.names), remarks)
+    return _Judged(found, seen, away, doubts(found, board.size, seen.names), remarks)
 
 
 def _away(found: Mount, believed: Mount) -> tuple[float, float]:
@@ -192,13 +181,6 @@ def _slips(away: tuple[float, float]) -> list[str]:
         f"the fitted mount is {1e3 * away[0]:.0f} mm and {math.degrees(away[1]):.0f} ° from the believed one: if that "
         "cannot be, check the signs of --board-…-mm (x to the left, y up, z toward the target) and --mount"
     ]
-
-
-def _unseen(folder: Path, board: Board, names: list[str]) -> str:
-    """Return what to do if no image shows the board."""
-    others = sorted({marker for name in names[:_HINTED] for marker in markers_in(read_pixels(folder / name))})
-    hint = f"they show {_few(others)}: give the right --board" if others else "is it sharp, lit, and not cut off?"
-    return f"none of {len(names)} images shows {board.name}; {hint}"
 
 
 def _few(names: list[str] | tuple[str, ...], most: int = 5) -> str:
@@ -264,7 +246,7 @@ def _as_text(judged: _Judged) -> str:
         ("at the dock", f"{_point_stddev(found) / MILLIMETRE:.2f} mm (1 σ), the board's offset included"),
         ("reprojection", f"{_rms(found.reprojection[kept]):.2f} px rms"),
         ("residuals", f"{_rms(moves):.2f} mm rms, {moves.max():.2f} mm at most, at the board"),
-        ("held out", judges if found.held_out else "none"),
+        ("held out", judges),
         ("scatter", f"{found.fit.spread.pixel:.3f} px a corner, {found.fit.spread.arm / MILLIMETRE:.3f} mm a position"),
         ("board size", f"{found.size:.4f} ± {found.size_stddev:.4f} of the stated size, by the platform's moves"),
         ("board normal", f"({normal}) in end_effector, ± {math.degrees(found.board_stddev):.2f} °"),
@@ -287,7 +269,7 @@ def _about(options: argparse.Namespace, board: Board, judged: _Judged) -> dict[s
         "sha256": sha256(Path(options.views) / VIEWS),
         "geometry": Path(options.geometry).name if options.geometry else "built-in",
         "board": board.name,
-        "board_size": board.length,
+        "board_size": board.size,
         "board_offset": [MILLIMETRE * getattr(options, f"board_{axis}_mm") for axis in "xyz"],
         "board_offset_stddev": MILLIMETRE * options.board_stddev_mm,
         "images": len(judged.seen.names),

@@ -27,7 +27,7 @@ from deltacharger_kinematics.calibration.data import DEGREES, POSITION_COLUMNS, 
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_vision.hand_eye.board import Board
-from deltacharger_vision.hand_eye.views import View
+from deltacharger_vision.hand_eye.fit import View
 from deltacharger_vision.image_files import CAMERA_INFO, PICTURES, read_color, write_picture
 from deltacharger_vision.images import Intrinsics, project, rgb8
 from deltacharger_vision.mount import Mount

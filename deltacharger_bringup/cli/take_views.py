@@ -25,7 +25,7 @@ from deltacharger_records.datasets.arm_client import STILL, ArmClient, ArmError
 from deltacharger_ros import qos
 from deltacharger_ros.client import Guest
 from deltacharger_vision.cameras.ros_formats import color_array
-from deltacharger_vision.hand_eye.board import Board, markers_in
+from deltacharger_vision.hand_eye.board import Board
 from deltacharger_vision.hand_eye.calibrate import PLACES_APART
 from deltacharger_vision.images import Intrinsics, rgb8
 from deltacharger_vision.mount import Mount
@@ -65,7 +65,7 @@ def take(
             folder = ViewsFolder(Path(options.views), intrinsics)
             if folder.angles:
                 log_line(f"{options.views} contains {len(folder.angles)} views already; continuing to {options.take}")
-            radius = math.hypot(*board.pattern) / 2 + board.margin
+            radius = board.size / math.sqrt(2.0) + board.margin
             places = view_places(geometry, 1e-3 * options.z_max_mm, mount, intrinsics, offset, radius)
             if len(folder.angles) < options.take:
                 _visit(arm, camera, board, _left(places, folder, geometry), folder, options.take)
@@ -114,7 +114,9 @@ def _visit(
             blind += 1
             log_line(f"at ({where}) mm the board is not visible")
             if blind == _BLIND and not folder.angles:
-                raise CommandError(_unseen(board, image))
+                raise CommandError(
+                    f"no image of {_BLIND} positions shows {board.name}: is it there, lit, and facing the camera?"
+                )
         else:
             middle = tuple(0.5 * (first + second) for first, second in zip(before, angles, strict=True))
             name = folder.add(image, (middle[0], middle[1], middle[2]))
@@ -126,12 +128,6 @@ def _visit(
 
 def _still(before: Vector, after: Vector) -> bool:
     return float(np.abs(np.subtract(before, after)).max()) <= STILL
-
-
-def _unseen(board: Board, image: np.ndarray) -> str:
-    others = ", ".join(markers_in(image)[:5])
-    hint = f"it shows {others}: give the right --board" if others else "is the board there, lit, and facing the camera?"
-    return f"no image of {_BLIND} positions shows {board.name}; {hint}"
 
 
 class CameraError(RuntimeError):

@@ -33,7 +33,5 @@ class SimulatedCameraNodeParameters(Bounded):
     glare: float = number(-1.0, -1.0, 20.0, "", "highlight on the metal, 1 = full scale; negative = drawn by seed")
     width: int = number(OAK_D.width, 64, 4096, "px", "of the image")
     height: int = number(OAK_D.height, 40, 4096, "px", "of the image")
-    board: str = words(
-        "", "calibration board on the platform, such as apriltag:36h11:0 or charuco:4x4_50:5x4; empty = none"
-    )
-    board_size: float = number(0.040, SMALLEST, LARGEST, "m", "side of the tag or of a square")
+    board: str = words("", "calibration board on the platform, such as apriltag:36h11:0; empty = none")
+    board_size: float = number(0.040, SMALLEST, LARGEST, "m", "side of the tag")

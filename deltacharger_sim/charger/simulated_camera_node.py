@@ -29,7 +29,7 @@ from deltacharger_ros import node_support
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_sim.charger.parameters import SimulatedCameraNodeParameters
 from deltacharger_vision.errors import VisionError
-from deltacharger_vision.hand_eye.board import Board, parse_board
+from deltacharger_vision.hand_eye.board import Board
 from deltacharger_vision.images import COLOR, DEPTH
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.rendering.board_drawing import bracket, with_board
@@ -80,8 +80,7 @@ def _board(given: SimulatedCameraNodeParameters) -> tuple[Board, Array] | None:
     """
     if not given.board:
         return None
-    found = parse_board(given.board, given.board_size)
-    return found, bracket()
+    return Board.named(given.board, given.board_size), bracket()
 
 
 class SimulatedCameraNode(Node):
@@ -164,7 +163,7 @@ class SimulatedCameraNode(Node):
         if self._board is None:
             return scene
         board, place = self._board
-        return with_board(scene, board, np.linalg.inv(self._mount) @ shifted(platform) @ place, in_camera=True)
+        return with_board(scene, board, np.linalg.inv(self._mount) @ shifted(platform) @ place)
 
     def _on_servo_state(self, message: ServoState) -> None:
         if len(message.position) == 3 and all(map(math.isfinite, message.position)):

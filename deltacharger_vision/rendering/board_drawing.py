@@ -7,11 +7,10 @@ import dataclasses
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array, Mask
 from deltacharger_vision.hand_eye.board import Board
-from deltacharger_vision.rendering.scene import Box, Color, RenderedScene, check_pose, shifted
+from deltacharger_vision.rendering.scene import Box, RenderedScene, check_pose, shifted
 from deltacharger_vision.terminal import transform
 
 Area = tuple[int, int, int, int]
@@ -33,66 +32,35 @@ def bracket() -> Array:
     return transform(np.diag([-1.0, 1.0, -1.0]), (0.020, 0.030, -0.022))
 
 
-def with_board(scene: RenderedScene, board: Board, pose: Array, in_camera: bool = False) -> RenderedScene:
-    """Return the scene with a board in it.
-
-    Args:
-        scene: without the board.
-        board: to add.
-        pose: (4, 4) from the board's frame to the terminal's frame, or to the optical frame with `in_camera`.
-        in_camera: whether `pose` refers to the optical frame.
+def with_board(scene: RenderedScene, board: Board, pose: Array) -> RenderedScene:
+    """Return the scene with a board at (4, 4) `pose`, from the board's frame to the optical frame.
 
     Raises:
         RenderingError: the pose is not a rigid transform.
     """
-    plate, *cells = board_boxes(board, pose, in_camera)
+    check_pose("board", pose)
+    plate, *cells = (dataclasses.replace(box, pose=pose @ box.pose, in_camera=True) for box in board_boxes(board))
     # The plate must be painted first, even if a cell is further away than its centre.
     return dataclasses.replace(scene, background=(*scene.background, plate), foreground=(*scene.foreground, *cells))
 
 
-def board_boxes(board: Board, pose: Array, in_camera: bool = False) -> list[Box]:
-    """Return the white plate, then the black areas with faces at z = 0, and the white within them.
-
-    Arguments and errors as in `with_board`. Each area is one box: if an edge consisted of several boxes, its pixels
-    would be half covered several times, which would shift the edge.
-    """
-    check_pose("board", pose)
-    return [dataclasses.replace(box, pose=pose @ box.pose, in_camera=in_camera) for box in _boxes(board)]
-
-
 @cache
-def _boxes(board: Board) -> tuple[Box, ...]:
-    """Return the boxes in the board's frame."""
-    (width, height), margin = board.pattern, board.margin
-    black = board.cells()
-    cell = width / black.shape[1]
+def board_boxes(board: Board) -> tuple[Box, ...]:
+    """Return the white plate, the black square with its face at z = 0, and the white within it, in the board's frame.
 
-    def box(area: Area, face: float, thickness: float, color: Color) -> Box:
-        left, top, right, bottom = area
-        middle = (cell * (left + right) / 2 - width / 2, height / 2 - cell * (top + bottom) / 2, face - thickness / 2)
-        return Box(shifted(middle), (cell * (right - left), cell * (bottom - top), thickness), color)
-
-    plate = shifted((0.0, 0.0, -THICKNESS / 2))
-    boxes = [Box(plate, (width + 2 * margin, height + 2 * margin, THICKNESS), _WHITE)]
-    for area in _areas(black):
-        boxes.append(box(area, 0.0, 0.0, _BLACK))  # ink has no visible side
-        left, top, right, bottom = area
-        for a, b, c, d in _rectangles(~black[top:bottom, left:right]):
-            boxes.append(box((left + a, top + b, left + c, top + d), _BIT, _BIT, _WHITE))
+    The black is one box: if an edge consisted of several boxes, its pixels would be half covered several times, which
+    would shift the edge.
+    """
+    side, black = board.size, board.cells()
+    cell, whole = side / len(black), side + 2 * board.margin
+    boxes = [
+        Box(shifted((0.0, 0.0, -THICKNESS / 2)), (whole, whole, THICKNESS), _WHITE),
+        Box(shifted((0.0, 0.0, 0.0)), (side, side, 0.0), _BLACK),  # ink has no visible side
+    ]
+    for left, top, right, bottom in _rectangles(~black):
+        middle = (cell * (left + right) / 2 - side / 2, side / 2 - cell * (top + bottom) / 2, _BIT - _BIT / 2)
+        boxes.append(Box(shifted(middle), (cell * (right - left), cell * (bottom - top), _BIT), _WHITE))
     return tuple(boxes)
-
-
-def _areas(black: Mask) -> list[Area]:
-    """Return bounding rectangles of black areas that share sides, without those inside others."""
-    import cv2
-
-    _, _, stats, _ = cv2.connectedComponentsWithStats(black.astype(np.uint8), connectivity=4)
-    areas = [(left, top, left + width, top + height) for left, top, width, height, _ in stats[1:].tolist()]
-    return [area for area in areas if not any(other != area and _holds(other, area) for other in areas)]
-
-
-def _holds(outer: Area, inner: Area) -> bool:
-    return outer[0] <= inner[0] and outer[1] <= inner[1] and outer[2] >= inner[2] and outer[3] >= inner[3]
 
 
 def _rectangles(marked: Mask) -> list[Area]:
@@ -100,22 +68,12 @@ def _rectangles(marked: Mask) -> list[Area]:
 
     They overlap if possible: at a seam, half-covered pixels would show the black.
     """
-    if not marked.any():
-        return []
-    rows, columns = (_changes(marked, axis) for axis in (0, 1))
-    coarse = marked[np.ix_(rows[:-1], columns[:-1])]
     found: dict[Area, None] = {}
-    for row, column in np.argwhere(coarse):
+    for row, column in np.argwhere(marked).tolist():
         for first in (0, 1):
-            (top, bottom), (left, right) = _grown(coarse, (int(row), int(column)), first)
-            found[int(columns[left]), int(rows[top]), int(columns[right]), int(rows[bottom])] = None
+            (top, bottom), (left, right) = _grown(marked, (row, column), first)
+            found[left, top, right, bottom] = None
     return list(found)
-
-
-def _changes(marked: Mask, axis: int) -> NDArray[np.int64]:
-    """Return the indices where rows (axis 0) or columns (1) differ from the previous one, and both ends."""
-    differs = (np.diff(marked, axis=axis) != 0).any(axis=1 - axis)
-    return np.concatenate([[0], 1 + np.flatnonzero(differs), [marked.shape[axis]]])
 
 
 def _grown(marked: Mask, cell: tuple[int, int], first: int) -> tuple[tuple[int, int], tuple[int, int]]:
@@ -141,7 +99,7 @@ _LIGHT = 0.5  # reflectance between black and white
 
 def board_svg(board: Board) -> str:
     """Return an SVG drawing of a board: white margin, cutting outline, and name and size below."""
-    plate, *areas = board_boxes(board, np.eye(4))
+    plate, *areas = board_boxes(board)
     width, height = 1e3 * plate.size[0], 1e3 * plate.size[1]
     parts = [
         f'<rect x="0" y="0" width="{width:.4f}" height="{height:.4f}" fill="white" stroke="#bbb" stroke-width="0.1"/>'
@@ -151,8 +109,7 @@ def board_svg(board: Board) -> str:
         x, y = width / 2 + 1e3 * area.pose[0, 3] - across / 2, height / 2 - 1e3 * area.pose[1, 3] - down / 2
         color = "white" if area.color[0] > _LIGHT else "black"
         parts.append(f'<rect x="{x:.4f}" y="{y:.4f}" width="{across:.4f}" height="{down:.4f}" fill="{color}"/>')
-    across, down = (1e3 * length for length in board.pattern)
-    caption = f"{board.name}, black pattern {across:g} x {down:g} mm"
+    caption = f"{board.name}, black square {1e3 * board.size:g} mm"
     parts.append(
         f'<text x="1" y="{height + _STRIP - 2:.2f}" font-size="{_LETTER:g}" font-family="sans-serif">{caption}</text>'
     )

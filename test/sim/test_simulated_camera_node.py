@@ -17,7 +17,7 @@ from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros.node_support import StartupError
 from deltacharger_sim.charger.simulated_camera_node import SimulatedCameraNode
 from deltacharger_vision.cameras.ros_formats import color_array, depth_array
-from deltacharger_vision.hand_eye.board import AprilTag
+from deltacharger_vision.hand_eye.board import Board
 
 from ..chargers import Spin, wait_until
 from ..nodes import options
@@ -91,7 +91,7 @@ def test_the_platform_and_a_board_on_it_are_drawn_at_the_servos_position(
     without = viewer.color().astype(float)
     viewer.arm_at(0.0, 0.0, 0.03)
     wait_until(lambda: np.abs(viewer.color().astype(float) - without).mean() > 5.0, "the platform in the picture")
-    wait_until(lambda: AprilTag(tag=7).detect(viewer.color()) is not None, "the tag in the picture")
+    wait_until(lambda: Board(tag=7).detect(viewer.color()) is not None, "the tag in the picture")
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,8 @@ import numpy as np
 from deltacharger_bringup.cli.camera_views import ViewsFolder, view_places
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_vision.hand_eye.board import AprilTag, Board, Sighting
-from deltacharger_vision.hand_eye.views import Beliefs, View
+from deltacharger_vision.hand_eye.board import Board, Sighting
+from deltacharger_vision.hand_eye.fit import Beliefs, View
 from deltacharger_vision.images import Intrinsics, project
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.rendering.board_drawing import bracket, with_board
@@ -50,7 +50,7 @@ class Rig:
         intrinsics: Intrinsics = OAK_D,
     ) -> None:
         self.random = np.random.default_rng(seed)
-        self.board, self.true_size, self.intrinsics = board or AprilTag(), true_size, intrinsics
+        self.board, self.true_size, self.intrinsics = board or Board(), true_size, intrinsics
         self.mount = np.array(Mount.default().pose)
         self.mount[:3, 3] += self.random.normal(scale=0.003, size=3)
         self.mount[:3, :3] = turn(self.random.normal(scale=0.02, size=3)) @ self.mount[:3, :3]
@@ -63,7 +63,7 @@ class Rig:
 
     def stands(self) -> Iterator[tuple[Vector, Vector]]:
         """Yield places (m) with the angles (rad) that servo_node reports there."""
-        radius = math.hypot(*self.board.pattern) / 2 + self.board.margin
+        radius = self.board.size / math.sqrt(2.0) + self.board.margin
         for place in view_places(DeltaGeometry(), 0.06, Mount.default(), self.intrinsics, self.offset, radius):
             yield place, ARM.inverse(*place)
 
@@ -88,7 +88,7 @@ class Rig:
         """Return an image (H, W, 3) RGB with board, platform and arms."""
         platform = self.platform(angles)
         pose = np.linalg.inv(self.mount) @ shifted(platform) @ self.place
-        scene = with_board(RenderedScene(target=False), board or self.board, pose, in_camera=True)
+        scene = with_board(RenderedScene(target=False), board or self.board, pose)
         parts = charger_parts(self.mount, platform, angles)
         scene = dataclasses.replace(scene, foreground=(*scene.foreground, *parts))
         before = np.linalg.inv(self.mount) @ shifted((0.0, 0.0, 0.3))

@@ -10,13 +10,21 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from deltacharger_vision.hand_eye.board import AprilTag, Board, Charuco, Sighting
-from deltacharger_vision.hand_eye.calibrate import Calibration, calibrate, doubts, drift, held_out_rms, notes
-from deltacharger_vision.hand_eye.fit import FREE_WITH_SCALE, HandEyeState, jacobian, residuals, start
-from deltacharger_vision.hand_eye.views import Beliefs, Corners, HandEyeError, View
-from deltacharger_vision.images import Intrinsics, project, rays
+from deltacharger_vision.hand_eye.board import Board
+from deltacharger_vision.hand_eye.calibrate import Calibration, calibrate, doubts, held_out_rms, notes
+from deltacharger_vision.hand_eye.fit import (
+    FREE_WITH_SCALE,
+    Beliefs,
+    Corners,
+    HandEyeError,
+    HandEyeState,
+    View,
+    jacobian,
+    residuals,
+    start,
+)
+from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.rendering.camera import OAK_D
-from deltacharger_vision.terminal import turn
 
 from ..marks import night, rest
 from .hand_eye_rig import DOCK, Rig, squared
@@ -37,13 +45,12 @@ def moved(view: View, by: Sequence[float]) -> View:
 
 def judged(rig: Rig, views: Sequence[View]) -> tuple[Calibration, list[str]]:
     found = calibrate(views, rig.intrinsics, rig.beliefs)
-    return found, doubts(found, rig.board.length, names(views))
+    return found, doubts(found, rig.board.size, names(views))
 
 
-@pytest.mark.parametrize(("board", "lens"), [(AprilTag(), LENS), (Charuco(), OAK_D), rest(AprilTag(), OAK_D)])
-def test_exact_data_give_the_exact_mount(board: Board, lens: Intrinsics) -> None:
-    rig = Rig(1, board, joints=0.0, offset=0.0, intrinsics=lens)
-    found = calibrate(rig.views(12, pixel=0.0, arm=0.0), lens, rig.beliefs)
+def test_exact_data_give_the_exact_mount() -> None:
+    rig = Rig(1, joints=0.0, offset=0.0, intrinsics=LENS)
+    found = calibrate(rig.views(12, pixel=0.0, arm=0.0), LENS, rig.beliefs)
     assert np.abs(rig.error(found.mount)).max() < 1e-7
     np.testing.assert_allclose(found.board, rig.place[:3, :3], atol=1e-7)
     assert found.size == pytest.approx(1.0, abs=1e-6)
@@ -65,7 +72,7 @@ def test_the_offset_is_unobservable_and_enters_position_and_covariance() -> None
 
 
 def test_the_derivatives_match_the_residuals() -> None:
-    corners = Corners.of(Rig(3, Charuco()).views(6), OAK_D)
+    corners = Corners.of(Rig(3).views(6), OAK_D)
     first = start(corners)
     state = HandEyeState(first.camera, first.shift, first.board, np.array([0.001, -0.002, 0.001]), 1.1)
     step = np.random.default_rng(0).normal(scale=0.05, size=FREE_WITH_SCALE)
@@ -78,12 +85,12 @@ def test_the_derivatives_match_the_residuals() -> None:
     np.testing.assert_allclose(by_position[:, :, 0], change, rtol=1e-4, atol=1e-2)
 
 
-@pytest.mark.parametrize(("count", "pixel", "arm"), [night(5, 0.05, 1e-4), night(12, 0.3, 1e-5), rest(12, 0.05, 4e-4)])
+@pytest.mark.parametrize(("count", "pixel", "arm"), [night(5, 0.05, 1e-4), rest(12, 0.05, 4e-4)])
 def test_errors_match_the_covariance(count: int, pixel: float, arm: float) -> None:
     pose, point, dock = [], [], []
     for seed in range(50):
         rig = Rig(100 + seed)
-        found = calibrate(rig.views(count, pixel, arm), OAK_D, rig.beliefs, every=1000)
+        found = calibrate(rig.views(count, pixel, arm), OAK_D, rig.beliefs)
         pose.append(squared(rig.error(found.mount), found.mount.covariance))
         point.append(squared(rig.dock_error(found.mount), found.point_covariance(DOCK)))
         dock.append(np.linalg.norm(rig.dock_error(found.mount)))
@@ -121,18 +128,17 @@ def test_a_third_of_wrong_views_is_a_doubt() -> None:
     assert np.linalg.norm(rig.dock_error(found.mount)) < 0.002
 
 
-@pytest.mark.parametrize("true_size", [rest(0.75), 0.97, rest(1.03), night(1.5)])
-def test_a_wrong_size_is_reported_with_the_likely_one(true_size: float) -> None:
-    rig = Rig(8, true_size=true_size)
+def test_a_wrong_size_is_reported_with_the_likely_one() -> None:
+    rig = Rig(8, true_size=0.97)
     _, reasons = judged(rig, rig.views(15))
     assert len(reasons) == 1
     assert "measure the print" in reasons[0]
-    assert float(reasons[0].split("size is ")[1].split()[0]) == pytest.approx(40.0 * true_size, rel=0.005)
+    assert float(reasons[0].split("size is ")[1].split()[0]) == pytest.approx(40.0 * 0.97, rel=0.005)
 
 
-@pytest.mark.parametrize("seed", [300, *(rest(seed) for seed in range(301, 310))])
+@pytest.mark.parametrize("seed", [300, *(rest(seed) for seed in range(301, 305))])
 def test_a_right_size_is_not_doubted_and_errors_stay_within_the_covariance(seed: int) -> None:
-    rig = Rig(seed, Charuco() if seed % 2 else AprilTag())
+    rig = Rig(seed)
     found, reasons = judged(rig, rig.views(10))
     assert not reasons
     assert abs(found.size - 1.0) < 5.0 * found.size_stddev
@@ -147,8 +153,8 @@ def test_joint_errors_beyond_the_stated_ones_are_reported() -> None:
         views = rig.views(15)
         stated = dataclasses.replace(rig.beliefs, joint_stddev=math.radians(0.1))
         for beliefs in (stated, rig.beliefs):
-            found = calibrate(views, OAK_D, beliefs, every=1000)
-            texts = doubts(found, rig.board.length, names(views))
+            found = calibrate(views, OAK_D, beliefs)
+            texts = doubts(found, rig.board.size, names(views))
             reported[beliefs is stated] += any(
                 "angles are off" in text or "geometry is wrong" in text for text in texts
             )
@@ -157,32 +163,9 @@ def test_joint_errors_beyond_the_stated_ones_are_reported() -> None:
     assert reported[False] == 0
 
 
-@pytest.mark.parametrize("degrees", [rest(0.3), 1.0, rest(3.0)])
-def test_a_pushed_camera_is_reported_with_the_moment(degrees: float) -> None:
-    rig = Rig(9)
-    views = rig.views(20)
-    for index in range(12, 20):
-        view = views[index]
-        ray = np.append(rays(view.sighting.pixels, OAK_D), np.ones((4, 1)), axis=1)
-        pixels = project(ray @ turn(np.array([0.0, math.radians(degrees), 0.0])).T, OAK_D)
-        views[index] = View(view.position, Sighting(view.sighting.corners, pixels), view.slope)
-    _, reasons = judged(rig, views)
-    assert any("from view_12.png on" in text and "moved" in text for text in reasons)
-
-
-def test_scatter_alone_is_no_drift() -> None:
-    random = np.random.default_rng(0)
-    alarms = [drift(random.normal(scale=2e-4, size=(20, 3)))[2] < 0.002 for _ in range(12)]
-    assert sum(alarms) <= 1
-    first, shift, chance = drift(np.repeat([[0.0, 0.0, 0.0], [1e-3, 0.0, 0.0]], 10, axis=0))
-    assert (first, chance < 0.002) == (10, True)
-    assert shift == pytest.approx(1e-3)
-
-
-@pytest.mark.parametrize("count", [4, rest(12)])
-def test_the_tilt_that_fits_all_images_is_chosen(count: int) -> None:
-    for seed in range(count):
-        rig = Rig(400 + seed, AprilTag(size=0.010))  # small: most single images fit the opposite tilt better
+def test_the_tilt_that_fits_all_images_is_chosen() -> None:
+    for seed in range(4):
+        rig = Rig(400 + seed, Board(size=0.010))  # small: most single images fit the opposite tilt better
         first = start(Corners.of(rig.views(15, pixel=0.8), OAK_D))
         true = rig.mount[:3, :3].T @ rig.place[:3, :3]
         assert np.sum((first.camera.T @ first.board) * true) > 1.0 + 2.0 * math.cos(math.radians(5.0))
@@ -205,18 +188,10 @@ def test_too_few_views_and_places_and_moves_along_a_line_are_refused() -> None:
     rig = Rig(13)
     views = rig.views(6)
     line = [View(np.array([view.position[0], 0.01, 0.02]), view.sighting, view.slope) for view in rig.views(12)]
-    for given, every, noun in (
-        (views[:4], 5, "4 views"),
-        ([*views[:3], *views[:3]], 5, "3 places"),
-        (views[:5], 2, "fewer"),
-        (line, 5, "line, x"),
-    ):
+    for given, noun in ((views[:4], "4 views"), ([*views[:3], *views[:3]], "3 places"), (line, "line, x")):
         with pytest.raises(HandEyeError, match=noun):
-            calibrate(given, OAK_D, rig.beliefs, every=every)
-    found = calibrate(views, OAK_D, rig.beliefs, every=100)
-    assert found.held_out == ()
-    assert math.isnan(held_out_rms(found))
-    assert any("6 views" in text for text in notes(found, names(views)))
+            calibrate(given, OAK_D, rig.beliefs)
+    assert any("6 views" in text for text in notes(calibrate(views, OAK_D, rig.beliefs), names(views)))
 
 
 def test_invalid_values_are_refused() -> None:
