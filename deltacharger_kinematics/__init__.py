@@ -6,19 +6,6 @@
 
 from deltacharger_kinematics.delta import Delta, Forward, Inverse, Jacobian
 from deltacharger_kinematics.geometry import DeltaGeometry, LimbAdjustment
-from deltacharger_kinematics.status import AHEAD, BEHIND, KNEE_OUT, WORKING_MODES, KinematicsError, Status
+from deltacharger_kinematics.status import Status
 
-__all__ = [
-    "AHEAD",
-    "BEHIND",
-    "KNEE_OUT",
-    "WORKING_MODES",
-    "Delta",
-    "DeltaGeometry",
-    "Forward",
-    "Inverse",
-    "Jacobian",
-    "KinematicsError",
-    "LimbAdjustment",
-    "Status",
-]
+__all__ = ["Delta", "DeltaGeometry", "Forward", "Inverse", "Jacobian", "LimbAdjustment", "Status"]

@@ -105,7 +105,7 @@ _ROOT_THREE = Fraction(math.isqrt(3 << 1200), 1 << 600)
 Surd = tuple[Fraction, Fraction]  # p + q√3
 
 
-def solve_limb(x: Array, y: Array, z: Array, limb: Limb, knee: int) -> tuple[Array, Array]:
+def solve_limb(x: Array, y: Array, z: Array, limb: Limb) -> tuple[Array, Array]:
     """Return the commanded angles (n,) rad and Q (n,) m⁴ of one limb at positions x, y, z (n,) m in charger_base.
 
     The error of an angle is below 4e-16 rad. The sign of Q is exact; if it is negative, the angle is NaN.
@@ -117,13 +117,13 @@ def solve_limb(x: Array, y: Array, z: Array, limb: Limb, knee: int) -> tuple[Arr
     plain = np.sqrt(high)
     root = square_root((high, low), np.where(plain > 0.0, plain, 1.0))
     root = np.where(plain > 0.0, root[0], plain), np.where(plain > 0.0, root[1], 0.0)
-    sine, cosine = _direction(u, w, k, root, knee)
+    sine, cosine = _direction(u, w, k, root)
     # In long double, because numpy's vectorised arc tangent of doubles is precise to 0.76 ulp only.
     angle = np.arctan2(_extended(sine), _extended(cosine)) - limb.angle_offset
     return angle.astype(np.float64), high
 
 
-def solve_limb_at(x: float, y: float, z: float, limb: Limb, knee: int) -> tuple[float, float]:
+def solve_limb_at(x: float, y: float, z: float, limb: Limb) -> tuple[float, float]:
     """Return commanded angle and Q, as `solve_limb`, for one finite position."""
     u, w, k, (high, low) = _terms(x, y, z, limb)
     if abs(high) < _UNDECIDED * (k[0] + 2.0 * limb.rod**2) ** 2:
@@ -131,7 +131,7 @@ def solve_limb_at(x: float, y: float, z: float, limb: Limb, knee: int) -> tuple[
     if high < 0.0:
         return math.nan, high
     root = square_root((high, low), math.sqrt(high)) if high > 0.0 else (0.0, 0.0)
-    sine, cosine = _direction(u, w, k, root, knee)
+    sine, cosine = _direction(u, w, k, root)
     rest = (sine[1] * cosine[0] - cosine[1] * sine[0]) / (sine[0] * sine[0] + cosine[0] * cosine[0])
     return math.atan2(sine[0], cosine[0]) + (rest - limb.angle_offset), high
 
@@ -162,14 +162,10 @@ def _terms(
 
 
 def _direction(
-    u: DoubleDouble, w: DoubleDouble, k: DoubleDouble, root: DoubleDouble, knee: int
+    u: DoubleDouble, w: DoubleDouble, k: DoubleDouble, root: DoubleDouble
 ) -> tuple[DoubleDouble, DoubleDouble]:
     """Return 2a(u² + w²)·(sin θ, cos θ)."""
-    turn = scale(root, float(knee))
-    return (
-        add(multiply(k, w), multiply(turn, u)),
-        subtract(multiply(k, u), multiply(turn, w)),
-    )
+    return subtract(multiply(k, w), multiply(root, u)), add(multiply(k, u), multiply(root, w))
 
 
 def exact_discriminant(x: float, y: float, z: float, limb: Limb) -> float:

@@ -17,24 +17,22 @@ every limit without a search.
 from __future__ import annotations
 
 import math
-import numbers
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from deltacharger_core.arrays import Array, Mask
 from deltacharger_core.machine import JOINT_SPEED
-from deltacharger_core.parameters import Bounded, number
+from deltacharger_core.texts import Picklable
 from deltacharger_kinematics.delta import Delta, as_vectors
-from deltacharger_kinematics.geometry import LONGEST, Vector
+from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.solve import LimbArrays
-from deltacharger_kinematics.status import KNEE_OUT, NO_ANSWER, KinematicsError, Status
+from deltacharger_kinematics.status import NO_ANSWER, Status
 
 REFUSED = NO_ANSWER | Status.WRONG_ASSEMBLY | Status.NEAR_TYPE_2 | Status.JOINT_LIMIT | Status.SWING_LIMIT
-"""Statuses refused by default for points of a line. Points outside the workspace box and near the edge of reach
+"""Statuses refused for points of a line. Points outside the workspace box and near the edge of reach
 (NEAR_TYPE_1) are allowed, because the platform is still held firmly there."""
 
 T = TypeVar("T", float, Array)
@@ -42,28 +40,21 @@ T = TypeVar("T", float, Array)
 PEAK_SPEED = 1.875  # ds/du at u = 1/2, its maximum
 _CHECKED = 512  # intervals at which limits are checked: at most 0.4 % of the line apart
 _SLACK = 1.0002  # the fastest instant may lie between two checks
-_FEWEST, _MOST = 2, 100_000  # intervals of a line
+_INTERVAL, _FEWEST = 0.02, 2  # s, longest time between two points; least number of intervals
 _STRETCHED = 1e-5  # margin (about 1 µm from the edge of reach) below which an arm's acceleration is unbounded
 
 
-@dataclass(frozen=True)
-class ArmLimits(Bounded):
-    """Speed and acceleration limits of the arms (rad/s, rad/s²); the defaults fit this charger's MX-64 at 12 V.
+ARM_SPEED, ARM_ACCELERATION = JOINT_SPEED, 25.0
+"""Limits of the arms (rad/s, rad/s²); they fit this charger's MX-64 at 12 V.
 
-    speed: no-load speed 63 rpm = 6.60 rad/s, stall torque 6.0 N·m (vendor's e-manual). With 1.49 N·m (heaviest pose
-    0.47 N·m plus 0.7 A of push), 4.95 rad/s are left.
+speed: no-load speed 63 rpm = 6.60 rad/s, stall torque 6.0 N·m (vendor's e-manual). With 1.49 N·m (heaviest pose
+0.47 N·m plus 0.7 A of push), 4.95 rad/s are left.
 
-    acceleration: 0.7 A · 1.463 N·m/A less gear friction (0.1 N·m and a fifth of the torque) accelerate at most 0.0285
-    kg·m² by 25.2 rad/s². This inertia is the largest row sum of m JᵀJ + I in the workspace, with m = 0.319 kg (platform
-    and half of the rods) and I = 0.0122 kg·m² (rotor through the gear, other halves of the rods). Rotor and friction
-    are BAM's fits of the MX-64.
-
-    Raises:
-        ParameterError: names the field; not a number within its bounds.
-    """
-
-    speed: float = number(JOINT_SPEED, 1e-3, 1e3, "rad/s", "speed of an arm")
-    acceleration: float = number(25.0, 1e-3, 1e6, "rad/s²", "acceleration of an arm")
+acceleration: 0.7 A · 1.463 N·m/A less gear friction (0.1 N·m and a fifth of the torque) accelerate at most 0.0285
+kg·m² by 25.2 rad/s². This inertia is the largest row sum of m JᵀJ + I in the workspace, with m = 0.319 kg (platform
+and half of the rods) and I = 0.0122 kg·m² (rotor through the gear, other halves of the rods). Rotor and friction
+are BAM's fits of the MX-64.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,74 +81,50 @@ class Line:
         return float(self.times[-1])
 
 
-class LineRefused(KinematicsError):
+class LineRefused(Picklable, ValueError):
     """A line has points that the platform must not pass.
 
     Attributes:
-        indices: indices of the refused points among the checked points.
-        statuses: their status, in the same order.
-        position: first refused point, m, charger_base.
+        status: of the first refused point.
+        position: this point, m, charger_base.
         share: share of the line before it, 0 to 1.
     """
 
-    def __init__(self, indices: Sequence[int], statuses: Sequence[Status], position: Vector, share: float) -> None:
-        super().__init__(indices, statuses)
-        self.position = position
-        self.share = share
+    def __init__(self, status: Status, position: Vector, share: float) -> None:
+        self.status, self.position, self.share = status, position, share
         place = ", ".join(f"{1000 * value:.5g}" for value in position)
-        what = self.statuses[0].name or repr(self.statuses[0])
-        self.args = (f"({place}) mm, {100 * share:.0f} % along the line, is {what}; choose another goal or path",)
+        what = status.name or repr(status)
+        super().__init__(f"({place}) mm, {100 * share:.0f} % along the line, is {what}; choose another goal or path")
 
 
-def plan_line(
-    delta: Delta,
-    start: ArrayLike,
-    goal: ArrayLike,
-    speed: float,
-    limits: ArmLimits | None = None,
-    interval: float = 0.02,
-    refuse: Status = REFUSED,
-) -> Line:
-    """Return the fastest line of this time law within all limits.
+def plan_line(delta: Delta, start: ArrayLike, goal: ArrayLike, speed: float) -> Line:
+    """Return the fastest line of this time law within all limits, with points at most 0.02 s apart.
 
     The arms' limits also hold between the points, to 0.02 % in the workspace and 1 % at the edge of reach. With linear
-    interpolation of joint angles at the default interval, the platform deviates by at most 0.02 mm from a line in the
-    workspace at 0.12 m/s, and by at most 0.2 mm at any speed within the default limits.
+    interpolation of joint angles, the platform deviates by at most 0.02 mm from a line in the workspace at 0.12 m/s,
+    and by at most 0.2 mm at any speed within the limits.
 
     Args:
         delta: the arm.
         start: (3,) m, charger_base.
         goal: (3,) m, charger_base; may equal the start.
-        speed: peak speed of the platform, m/s; 1e-6 to 1e3.
-        limits: limits of the arms; None = the defaults.
-        interval: longest time between two points, s; 1e-4 to 1. A line has at least two intervals.
-        refuse: statuses that no point may have. Always refused: points without a solution, at the very edge of reach,
-            or where an angle would pass ±π.
+        speed: peak speed of the platform, m/s, above 0.
 
     Raises:
-        LineRefused: a point of the line, or of 513 checked places along it, is refused.
-        ValueError: names the argument; not a number, out of bounds, or the line is too slow for the interval.
+        LineRefused: a point of the line, or of 513 checked places along it, has a status of REFUSED, is at the very
+            edge of reach, or lies where an angle would pass ±π.
+        ValueError: names the argument that is not an array (3,) of numbers.
     """
-    first, last = _point(start, "start"), _point(goal, "goal")
-    _bounded("speed", speed, 1e-6, 1e3, "m/s")
-    _bounded("interval", interval, 1e-4, 1.0, "s")
-    limits = limits or ArmLimits()
-    refuse = Status(refuse) | NO_ANSWER
-    survey = _Motion(delta, first, last, np.linspace(0.0, 1.0, _CHECKED + 1), refuse)
+    first, last = as_vectors(start, "start"), as_vectors(goal, "goal")
+    survey = _Motion(delta, first, last, np.linspace(0.0, 1.0, _CHECKED + 1))
     duration = max(
         PEAK_SPEED * math.dist(first, last) / speed,
-        _SLACK * float(np.abs(survey.velocities).max()) / limits.speed,
-        _SLACK * math.sqrt(float(np.abs(survey.accelerations).max()) / limits.acceleration),
-        _FEWEST * interval,
+        _SLACK * float(np.abs(survey.velocities).max()) / ARM_SPEED,
+        _SLACK * math.sqrt(float(np.abs(survey.accelerations).max()) / ARM_ACCELERATION),
+        _FEWEST * _INTERVAL,
     )
-    if not duration <= _MOST * interval:
-        raise ValueError(
-            f"speed: {speed:g} m/s and the arms' limits make a line of {duration:.3g} s, more than {_MOST} points "
-            f"{interval:g} s apart; allow a higher speed or a longer interval"
-        )
-    count = math.ceil(duration / interval)
-    shares = np.linspace(0.0, 1.0, count + 1)
-    motion = _Motion(delta, first, last, shares, refuse)
+    shares = np.linspace(0.0, 1.0, math.ceil(duration / _INTERVAL) + 1)
+    motion = _Motion(delta, first, last, shares)
     return Line(
         shares * duration,
         motion.positions,
@@ -175,13 +142,13 @@ def way_done(share: T) -> T:
 class _Motion:
     """The line at time shares u (n,): positions, angles, and their first two derivatives by u."""
 
-    def __init__(self, delta: Delta, start: Array, goal: Array, u: Array, refuse: Status) -> None:
+    def __init__(self, delta: Delta, start: Array, goal: Array, u: Array) -> None:
         done = way_done(u)[:, None]
         self.positions = (1.0 - done) * start + done * goal
         solved = delta.inverse(self.positions)
         self.angles = solved.angles
         status = np.asarray(solved.status)
-        self._refuse(status, (status & np.uint32(refuse)) != 0, done)
+        self._refuse(status, (status & np.uint32(REFUSED)) != 0, done)
         turned = np.zeros(len(u), dtype=bool)  # past ±π the angle wraps to the other side, and the arm would turn back
         turned[1:] = (np.abs(np.diff(self.angles, axis=0)) > math.pi).any(axis=1)
         self._refuse(status | np.uint32(Status.JOINT_LIMIT), turned, done)
@@ -195,8 +162,7 @@ class _Motion:
         indices = np.flatnonzero(bad)
         if len(indices):
             x, y, z = self.positions[indices[0]].tolist()
-            statuses = [Status(int(value)) for value in status[indices]]
-            raise LineRefused(indices.tolist(), statuses, (x, y, z), float(done[indices[0], 0]))
+            raise LineRefused(Status(int(status[indices[0]])), (x, y, z), float(done[indices[0], 0]))
 
 
 def _derivatives(delta: Delta, positions: Array, angles: Array, direction: Array) -> tuple[Array, Array]:
@@ -204,7 +170,7 @@ def _derivatives(delta: Delta, positions: Array, angles: Array, direction: Array
 
     In each limb's axes (outward, across, ahead) c' = a (−sin θ, 0, cos θ) and c'' = −a (cos θ, 0, sin θ).
     """
-    limbs = LimbArrays(delta.geometry, KNEE_OUT)
+    limbs = LimbArrays(delta.geometry)
     cosine, sine, arm = limbs.cosine, limbs.sine, limbs.arm
     (x, y, z), (dx, dy, dz) = positions.T, direction
     outward, across = cosine * dx + sine * dy, cosine * dy - sine * dx
@@ -218,15 +184,3 @@ def _derivatives(delta: Delta, positions: Array, angles: Array, direction: Array
     yielding = (outward + arm_w * slope) ** 2 + across**2 + (dz - arm_u * slope) ** 2
     bend = (yielding + (rod_u * arm_u + rod_w * arm_w) * slope**2) / lever
     return slope.T, bend.T
-
-
-def _point(value: ArrayLike, name: str) -> Array:
-    point = as_vectors(value, name)
-    if point.shape != (3,) or not (np.abs(point) <= LONGEST).all():
-        raise ValueError(f"{name} is {value!r}: give x, y and z in m (charger_base), each within ±{LONGEST:g}")
-    return point
-
-
-def _bounded(name: str, value: Any, low: float, high: float, unit: str) -> None:
-    if isinstance(value, bool) or not isinstance(value, numbers.Real) or not low <= float(value) <= high:
-        raise ValueError(f"{name} is {value!r}: give a number from {low:g} to {high:g} {unit}")

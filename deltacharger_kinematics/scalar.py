@@ -13,19 +13,10 @@ from math import atan2, cos, sin, sqrt
 
 from deltacharger_kinematics.exact import DOUBTFUL_ROOT, HOPELESS, solve_limb_at
 from deltacharger_kinematics.geometry import LIMB_COUNT, LIMB_DIRECTIONS, DeltaGeometry, Limb, Vector
-from deltacharger_kinematics.status import (
-    AHEAD,
-    COLLINEAR,
-    KNEE_OUT,
-    NEAR_TYPE_1,
-    NEAR_TYPE_2,
-    Status,
-    WorkingMode,
-    check_modes,
-)
+from deltacharger_kinematics.status import COLLINEAR, NEAR_TYPE_1, NEAR_TYPE_2, Status
 
 Matrix = tuple[float, float, float, float, float, float, float, float, float]
-# One limb at a point: angle, σ√Q, v, u, w, 2a(u² + w²)·(sin θ, cos θ), u² + w².
+# One limb at a point: angle, −√Q, v, u, w, 2a(u² + w²)·(sin θ, cos θ), u² + w².
 _Reached = tuple[float, float, float, float, float, float, float, float]
 
 _SINE_120 = LIMB_DIRECTIONS[1][1]
@@ -39,18 +30,10 @@ _TYPE_2, _WRONG, _OUTSIDE = int(Status.NEAR_TYPE_2), int(Status.WRONG_ASSEMBLY),
 class ScalarDelta:
     """Kinematics and statics of one point, in ``charger_base`` (m, rad)."""
 
-    def __init__(
-        self, geometry: DeltaGeometry | None = None, *, working_mode: WorkingMode = KNEE_OUT, assembly: int = AHEAD
-    ) -> None:
-        check_modes(working_mode, assembly)
-        if not isinstance(geometry, DeltaGeometry | None):
-            raise ValueError(f"geometry is {geometry!r}: give a DeltaGeometry")
+    def __init__(self, geometry: DeltaGeometry | None = None) -> None:
         self.geometry = geometry = geometry or DeltaGeometry()
         self._limbs = tuple(geometry.limb(index) for index in range(LIMB_COUNT))
-        self._working_mode = working_mode
-        self._inverse_numbers = tuple(
-            _inverse_numbers(limb, knee) for limb, knee in zip(self._limbs, working_mode, strict=True)
-        )
+        self._inverse_numbers = tuple(map(_inverse_numbers, self._limbs))
         self._limits = tuple(
             (2.0 * limb.rod * NEAR_TYPE_1 * limb.arm, limb.rod * sin(geometry.swing_max), bit)
             for limb, bit in zip(self._limbs, _LIMB_BITS, strict=True)
@@ -60,9 +43,7 @@ class ScalarDelta:
         self._elbow_numbers = tuple(_elbow_numbers(limb) for limb in self._limbs)
         self._rods_squared = tuple(limb.rod * limb.rod for limb in self._limbs)
         self._z_offset = geometry.z_offset
-        self._assembly = float(assembly)
-        self._scale = math.prod(limb.rod for limb in self._limbs)
-        self._near_determinant = NEAR_TYPE_2 * self._scale
+        self._near_determinant = NEAR_TYPE_2 * math.prod(limb.rod for limb in self._limbs)
         self._four_arms_squared = tuple(4.0 * limb.arm**2 for limb in self._limbs)
 
     def inverse(self, x: float, y: float, z: float) -> Vector:
@@ -70,14 +51,9 @@ class ScalarDelta:
         limbs = self._reach(x, y, z)
         return (limbs[0][0], limbs[1][0], limbs[2][0]) if limbs else _NAN3
 
-    def solve(self, x: float, y: float, z: float, precise: bool = False) -> tuple[Vector, int, float] | None:
-        """Return angles (rad), Status bits and margin; None if a limb has no solution.
-
-        `precise` always uses double-double.
-        """
+    def solve(self, x: float, y: float, z: float) -> tuple[Vector, int, float] | None:
+        """Return angles (rad), Status bits and margin; None if a limb has no solution."""
         limbs = self._reach(x, y, z)
-        if precise and limbs:
-            limbs = self._reach_edge(x, y, z)
         if not limbs:
             return None
         first, second, third = limbs
@@ -90,24 +66,6 @@ class ScalarDelta:
         bits = self._warnings((x, y, z), limbs, _determinant(_rods_of(limbs)))
         return (first[0], second[0], third[0]), bits, margin
 
-    def solve_forward(self, a0: float, a1: float, a2: float) -> tuple[Vector, int, float] | None:
-        """Return position (m), Status bits and determinant of the unit rod vectors; None without a solution."""
-        elbows = self._elbows((a0, a1, a2))
-        position = self._intersect(elbows)
-        x, y, z = position
-        if math.isnan(x):
-            return None
-        w = z + self._z_offset
-        rods = [(x - elbow_x, y - elbow_y, w - elbow_z) for elbow_x, elbow_y, elbow_z in elbows]
-        states = []
-        for angle, (rx, ry, rz), (zero, arm, _, cosine, sine, _, _, _) in zip(
-            (a0, a1, a2), rods, self._elbow_numbers, strict=True
-        ):
-            lever = arm * (rz * cos(angle + zero) - (rx * cosine + ry * sine) * sin(angle + zero))
-            states.append((angle, 2.0 * lever, ry * cosine - rx * sine, rz))
-        determinant = _determinant(rods)
-        return position, self._warnings(position, states, determinant), determinant / self._scale
-
     def _warnings(self, point: Vector, limbs: Sequence[tuple[float, ...]], determinant: float) -> int:
         """Return the warnings about a point; each limb begins with angle, 2·rod·lever, rod component across."""
         low, high = self._joint_min, self._joint_max
@@ -119,7 +77,6 @@ class ScalarDelta:
                 bits |= _TYPE_1 | bit
             if not -swing <= limb[2] <= swing:
                 bits |= _SWING | bit
-        determinant *= self._assembly
         if determinant < self._near_determinant:
             bits |= _WRONG if determinant < 0.0 else 0
             bits |= _TYPE_2 if determinant > -self._near_determinant else 0
@@ -152,7 +109,7 @@ class ScalarDelta:
         height = r0 - (ox * ox + oy * oy + oz * oz)
         if not height >= 0.0:
             return _NAN3
-        scale = self._assembly * sqrt(height / normal)
+        scale = sqrt(height / normal)
         return x0 + ox + scale * nx, y0 + oy + scale * ny, z0 + oz + scale * nz - self._z_offset
 
     def jacobian(self, x: float, y: float, z: float) -> Matrix:
@@ -219,7 +176,7 @@ class ScalarDelta:
     def _reach(self, x: float, y: float, z: float) -> list[_Reached]:
         """Return each limb at the point; empty if one does not reach it or has no unique angle."""
         limbs: list[_Reached] = []
-        for cosine, sine, difference, tangential, height, four, constant, size, knee, zero in self._inverse_numbers:
+        for cosine, sine, difference, tangential, height, four, constant, size, zero in self._inverse_numbers:
             u = x * cosine + y * sine - difference
             v = y * cosine - x * sine - tangential
             w = z + height
@@ -231,7 +188,7 @@ class ScalarDelta:
             if not root >= DOUBTFUL_ROOT * size:
                 # NaN if the point is not finite or its squares overflow.
                 return self._reach_edge(x, y, z) if q > -HOPELESS * size * size else []
-            root *= knee
+            root = -root
             sine_part = k * w + root * u
             cosine_part = k * u - root * w
             limbs.append((atan2(sine_part, cosine_part) - zero, root, v, u, w, sine_part, cosine_part, reach))
@@ -240,18 +197,18 @@ class ScalarDelta:
     def _reach_edge(self, x: float, y: float, z: float) -> list[_Reached]:
         """Return the same as `_reach` in double-double, for a point near the edge of reach."""
         limbs: list[_Reached] = []
-        for limb, knee in zip(self._limbs, self._working_mode, strict=True):
+        for limb in self._limbs:
             u = x * limb.cosine + y * limb.sine - limb.difference
             v = y * limb.cosine - x * limb.sine - limb.tangential_offset
             w = z + limb.motor_height
             reach = u * u + w * w
             if reach == 0.0:
                 return []
-            angle, q = solve_limb_at(x, y, z, limb, knee)
+            angle, q = solve_limb_at(x, y, z, limb)
             if q < 0.0:
                 return []
             length, true = 2.0 * limb.arm * reach, angle + limb.angle_offset
-            limbs.append((angle, knee * sqrt(q), v, u, w, length * sin(true), length * cos(true), reach))
+            limbs.append((angle, -sqrt(q), v, u, w, length * sin(true), length * cos(true), reach))
         return limbs
 
     def _elbows(self, commanded: Vector) -> list[Vector]:
@@ -269,7 +226,7 @@ class ScalarDelta:
         return elbows
 
 
-def _inverse_numbers(limb: Limb, knee: int) -> tuple[float, ...]:
+def _inverse_numbers(limb: Limb) -> tuple[float, ...]:
     """Return a limb's constants in the order in which `_reach` unpacks them."""
     return (
         limb.cosine,
@@ -280,7 +237,6 @@ def _inverse_numbers(limb: Limb, knee: int) -> tuple[float, ...]:
         4.0 * limb.arm**2,
         limb.arm**2 - limb.rod**2,
         2.0 * limb.rod**2,
-        float(knee),
         limb.angle_offset,
     )
 

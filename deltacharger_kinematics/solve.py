@@ -38,13 +38,9 @@ def determinant(rows: Array) -> Array:
 
 
 class LimbArrays:
-    """Columns of one geometry; names as in `deltacharger_kinematics.delta` (m, rad).
+    """Columns of one geometry; names as in `deltacharger_kinematics.delta` (m, rad)."""
 
-    Attributes:
-        knee: −1 (knee out) or +1 per limb, σ of the formulas.
-    """
-
-    def __init__(self, geometry: DeltaGeometry, working_mode: tuple[int, int, int]) -> None:
+    def __init__(self, geometry: DeltaGeometry) -> None:
         self.limbs = tuple(geometry.limb(index) for index in range(LIMB_COUNT))
 
         def column(name: str) -> Array:
@@ -55,7 +51,6 @@ class LimbArrays:
         self.motor_height, self.height_offset = column("motor_height"), column("height_offset")
         self.arm, self.rod = column("arm"), column("rod")
         self.angle_offset = column("angle_offset")
-        self.knee = np.array([[float(side)] for side in working_mode])
 
     def elbows(self, cosine: Array, sine: Array) -> tuple[Array, Array, Array]:
         """Return x, y, z (3, n) of the elbows in delta_motor, minus the platform radius.
@@ -92,11 +87,10 @@ def point_flag(mask: Mask, flag: Status) -> Bits:
 class WarningFlags:
     """The limits of one geometry; arrays have one column per point."""
 
-    def __init__(self, geometry: DeltaGeometry, arrays: LimbArrays, assembly: int) -> None:
+    def __init__(self, geometry: DeltaGeometry, arrays: LimbArrays) -> None:
         self._joint_min, self._joint_max = geometry.joint_min, geometry.joint_max
         self._root = 2.0 * arrays.rod * NEAR_TYPE_1 * arrays.arm
         self._across = arrays.rod * np.sin(geometry.swing_max)
-        self._assembly = float(assembly)
         self._determinant = NEAR_TYPE_2 * float(np.prod(arrays.rod))
         self._low = np.array(geometry.workspace_min)[:, None]
         self._high = np.array(geometry.workspace_max)[:, None]
@@ -116,7 +110,7 @@ class WarningFlags:
         bits |= limb_flag(np.abs(across) > self._across, Status.SWING_LIMIT)
         outside = ((points < self._low) | (points > self._high)).any(axis=0)
         bits |= point_flag(np.asarray(outside), Status.OUTSIDE_WORKSPACE)
-        bits |= point_flag(self._assembly * determinant < 0.0, Status.WRONG_ASSEMBLY)
+        bits |= point_flag(determinant < 0.0, Status.WRONG_ASSEMBLY)
         bits |= point_flag(np.abs(determinant) < self._determinant, Status.NEAR_TYPE_2)
         return np.where(np.isnan(determinant), np.uint32(0), bits)
 
@@ -167,16 +161,15 @@ _SCRATCH = _Scratch()
 class InverseSolver:
     """Angles, status and margin of points, in chunks."""
 
-    def __init__(self, geometry: DeltaGeometry, working_mode: tuple[int, int, int], assembly: int) -> None:
-        self._arrays = arrays = LimbArrays(geometry, working_mode)
-        self._warnings = WarningFlags(geometry, arrays, assembly)
-        self._knees = working_mode
+    def __init__(self, geometry: DeltaGeometry, arrays: LimbArrays) -> None:
+        self._arrays = arrays
+        self._warnings = WarningFlags(geometry, arrays)
         self._size = float(max(arrays.arm.max(), arrays.rod.max()))
         self._four_arm_squared = 4.0 * arrays.arm**2
         self._constant = arrays.arm**2 - arrays.rod**2
         self._two_rod_squared = 2.0 * arrays.rod**2
 
-    def solve(self, points: Array, precise: bool) -> tuple[Array, Bits, Array]:
+    def solve(self, points: Array) -> tuple[Array, Bits, Array]:
         """Return angles (n, 3), status (n,) and margin (n,) of `points` (n, 3)."""
         angles = np.empty(points.shape)
         status = np.empty(len(points), dtype=np.uint32)
@@ -184,7 +177,7 @@ class InverseSolver:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore", under="ignore"):
             for start in range(0, len(points), CHUNK):
                 part = slice(start, start + CHUNK)
-                angles[part], status[part], margin[part] = self._chunk(np.ascontiguousarray(points[part].T), precise)
+                angles[part], status[part], margin[part] = self._chunk(np.ascontiguousarray(points[part].T))
         return angles, status, margin
 
     def rods(self, points: Array) -> tuple[Array, Array]:
@@ -198,9 +191,9 @@ class InverseSolver:
             for start in range(0, len(points), CHUNK):
                 part = slice(start, start + CHUNK)
                 given = np.ascontiguousarray(points[part].T)
-                limbs = self._limbs(np.where(self._hopeless(given), np.nan, given), precise=False)
+                limbs = self._limbs(np.where(self._hopeless(given), np.nan, given))
                 rods[..., part] = self._rods(limbs)
-                lever[:, part] = np.where(limbs.q >= 0.0, -0.5 * self._arrays.knee * limbs.root, np.nan)
+                lever[:, part] = np.where(limbs.q >= 0.0, 0.5 * limbs.root, np.nan)
         return rods + 0.0 * lever, lever
 
     def _hopeless(self, points: Array) -> Mask:
@@ -210,13 +203,13 @@ class InverseSolver:
             return np.zeros(points.shape[1], dtype=np.bool_)
         return np.asarray(~(np.abs(points) <= largest).all(axis=0))
 
-    def _chunk(self, points: Array, precise: bool) -> tuple[Array, Bits, Array]:
+    def _chunk(self, points: Array) -> tuple[Array, Bits, Array]:
         """Return angles (n, 3), status (n,) and margin (n,) of `points` (3, n)."""
         hopeless = self._hopeless(points)
         invalid = ~np.asarray(np.isfinite(points[:, hopeless]).all(axis=0))
         if len(invalid):
             points = np.where(hopeless, 0.0, points)
-        limbs = self._limbs(points, precise)
+        limbs = self._limbs(points)
         bits = self._reach_flags(limbs)
         scale = np.multiply(self._four_arm_squared, limbs.reach, out=limbs.spare)
         margin = np.divide(limbs.q, scale, out=scale).min(axis=0)
@@ -229,9 +222,9 @@ class InverseSolver:
             bits[hopeless] = np.where(invalid, np.uint32(Status.INVALID_INPUT), Status.UNREACHABLE_FAR | ALL_LIMBS)
         return limbs.angle.T, bits, margin
 
-    def _limbs(self, points: Array, precise: bool) -> _Limbs:
+    def _limbs(self, points: Array) -> _Limbs:
         limbs = self._plain(points)
-        self._resolve(points, limbs, precise)
+        self._resolve(points, limbs)
         return limbs
 
     def _plain(self, points: Array) -> _Limbs:
@@ -255,28 +248,24 @@ class InverseSolver:
         np.multiply(self._four_arm_squared, reach, out=q)
         q -= np.multiply(k, k, out=spare)
         np.sqrt(np.maximum(q, 0.0, out=root), out=root)
-        turn = np.multiply(arrays.knee, root, out=spare)
         np.multiply(k, w, out=sine)
-        sine += np.multiply(turn, u, out=angle)
+        sine -= np.multiply(root, u, out=angle)
         np.multiply(k, u, out=cosine)
-        cosine -= np.multiply(turn, w, out=angle)
+        cosine += np.multiply(root, w, out=angle)
         np.arctan2(sine, cosine, out=angle)
         angle -= arrays.angle_offset
         return limbs
 
-    def _resolve(self, points: Array, limbs: _Limbs, precise: bool) -> None:
+    def _resolve(self, points: Array, limbs: _Limbs) -> None:
         """Solve again, in double-double, the points for which plain doubles are not precise enough."""
-        doubtful = np.ones(points.shape[1], dtype=np.bool_)
-        if not precise:
-            size = np.add(limbs.k, self._two_rod_squared, out=limbs.spare)
-            small = limbs.root < DOUBTFUL_ROOT * size
-            if not small.any():
-                return
-            doubtful = np.asarray((small & (limbs.q > -HOPELESS * size * size)).any(axis=0))
-        chosen = np.flatnonzero(doubtful)
+        size = np.add(limbs.k, self._two_rod_squared, out=limbs.spare)
+        small = limbs.root < DOUBTFUL_ROOT * size
+        if not small.any():
+            return
+        chosen = np.flatnonzero((small & (limbs.q > -HOPELESS * size * size)).any(axis=0))
         x, y, z = points[:, chosen]
-        for row, (limb, knee) in enumerate(zip(self._arrays.limbs, self._knees, strict=True)):
-            angle, q = solve_limb(x, y, z, limb, knee)
+        for row, limb in enumerate(self._arrays.limbs):
+            angle, q = solve_limb(x, y, z, limb)
             limbs.angle[row, chosen], limbs.q[row, chosen] = angle, q
             limbs.root[row, chosen] = np.sqrt(np.maximum(q, 0.0))
             length, true = 2.0 * limb.arm * limbs.reach[row, chosen], angle + limb.angle_offset
@@ -318,13 +307,12 @@ class InverseSolver:
 class ForwardSolver:
     """Position, status and determinant for joint angles, in chunks."""
 
-    def __init__(self, geometry: DeltaGeometry, working_mode: tuple[int, int, int], assembly: int) -> None:
+    def __init__(self, geometry: DeltaGeometry, arrays: LimbArrays) -> None:
         self._geometry = geometry
-        self._arrays = arrays = LimbArrays(geometry, working_mode)
-        self._warnings = WarningFlags(geometry, arrays, assembly)
+        self._arrays = arrays
+        self._warnings = WarningFlags(geometry, arrays)
         self._rods_squared = [float(limb.rod) ** 2 for limb in arrays.limbs]
         self._scale = float(np.prod(arrays.rod))
-        self._assembly = float(assembly)
 
     def solve(self, angles: Array) -> tuple[Array, Bits, Array]:
         """Return positions (n, 3), status (n,) and determinants (n,) of the unit rod vectors for `angles` (n, 3)."""
@@ -380,7 +368,7 @@ class ForwardSolver:
         along_a, along_b = 0.5 * (aa + (r0 - r1)) / square, 0.5 * (bb + (r0 - r2)) / square
         foot = along_a * cross(b, normal) + along_b * cross(normal, a)
         height = r0 - dot(foot, foot)
-        return foot + self._assembly * np.sqrt(height / square) * normal, np.asarray(collinear), height
+        return foot + np.sqrt(height / square) * normal, np.asarray(collinear), height
 
     def _lever(self, rods: Array, cosine: Array, sine: Array) -> Array:
         """Return rod length times lever (3, n): the rod's component along the elbow's motion, times the arm."""

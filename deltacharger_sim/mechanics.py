@@ -33,7 +33,6 @@ from math import atan2, cos, sin, sqrt
 from deltacharger_core.machine import GRAVITY_STRENGTH, NOMINAL_VOLTAGE
 from deltacharger_kinematics.geometry import LIMB_COUNT, LIMB_DIRECTIONS, DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_kinematics.status import KNEE_OUT
 from deltacharger_sim.impact import StepForces, make_impact
 from deltacharger_sim.motion import Motion
 from deltacharger_sim.parameters import CableParameters, StandParameters, WorldParameters
@@ -58,7 +57,7 @@ class Linkage:
                 (
                     *(limb.cosine, limb.sine, limb.difference, limb.tangential_offset, limb.motor_height),
                     *(4.0 * limb.arm**2, limb.arm**2 - limb.rod**2, 2.0 * limb.arm * limb.rod),
-                    *(float(KNEE_OUT[index]), limb.angle_offset, 1.0 / limb.arm),
+                    *(limb.angle_offset, 1.0 / limb.arm),
                 )
             )
         self._limbs = tuple(numbers)
@@ -71,7 +70,7 @@ class Linkage:
             a limb does not reach it.
         """
         angles, rows, turns = [], [], []
-        for cosine, sine, difference, tangential, height, four, constant, size, knee, zero, per_arm in self._limbs:
+        for cosine, sine, difference, tangential, height, four, constant, size, zero, per_arm in self._limbs:
             u = x * cosine + y * sine - difference
             v = y * cosine - x * sine - tangential
             w = z + height
@@ -81,7 +80,7 @@ class Linkage:
             root = sqrt(q) if q > 0.0 else 0.0
             if not root > _PLAIN * size:
                 return self._at_the_edge(x, y, z)
-            root *= knee
+            root = -root
             sine_part = k * w + root * u
             cosine_part = k * u - root * w
             angles.append(atan2(sine_part, cosine_part) - zero)
@@ -100,7 +99,7 @@ class Linkage:
             return None
         rows, turns = [], []
         for angle, limb in zip(angles, self._limbs, strict=True):
-            cosine, sine, difference, tangential, height, four, constant, size, knee, zero, _ = limb
+            cosine, sine, difference, tangential, height, four, constant, size, zero, _ = limb
             u = x * cosine + y * sine - difference
             v = y * cosine - x * sine - tangential
             w = z + height
@@ -108,7 +107,7 @@ class Linkage:
             if reach == 0.0:
                 return None
             k = reach + v * v + constant
-            root = knee * max(sqrt(max(four * reach - k * k, 0.0)), _STEEPEST * size)
+            root = -max(sqrt(max(four * reach - k * k, 0.0)), _STEEPEST * size)
             half, scale = 0.5 / reach, -2.0 / root
             gu, gv = scale * (u - (k * u - root * w) * half), scale * v
             gz = scale * (w - (k * w + root * u) * half)

@@ -33,7 +33,7 @@ from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import Reply, Service
 from deltacharger_docking.parameters import DockingParameters, TargetProfile
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
-from deltacharger_kinematics.line import PEAK_SPEED, REFUSED, ArmLimits, way_done
+from deltacharger_kinematics.line import ARM_ACCELERATION, ARM_SPEED, PEAK_SPEED, REFUSED, way_done
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_kinematics.trajectory_feed import Piece, TrajectoryFeed, Waypoint, between
 from deltacharger_sim.pads import PadSource
@@ -59,7 +59,6 @@ class QuickPlanner(Planner):
     def __init__(self, parameters: DockingParameters, geometry: DeltaGeometry) -> None:
         super().__init__(parameters, geometry)
         self._scalar = ScalarDelta(geometry)
-        self._limits = ArmLimits()
         (x0, y0, z0), (x1, y1, z1) = geometry.workspace_min, geometry.workspace_max
         self._low = (x0 - _EDGE, y0 - _EDGE, z0 - _EDGE)
         self._high = (x1 + _EDGE, y1 + _EDGE, z1 + _EDGE)
@@ -104,7 +103,7 @@ class QuickPlanner(Planner):
             for a, b, c in zip(before, here, after, strict=True):
                 turn, bend = max(turn, abs(c - a)), max(bend, abs(c - b - b + a))
         count = len(angles) - 1
-        return max(0.5 * count * turn / self._limits.speed, count * math.sqrt(bend / self._limits.acceleration))
+        return max(0.5 * count * turn / ARM_SPEED, count * math.sqrt(bend / ARM_ACCELERATION))
 
     def _waypoints(
         self,

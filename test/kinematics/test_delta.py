@@ -1,7 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws of the kinematics: round trips, finite differences, virtual work, results of bad points."""
+"""Laws of the kinematics: round trips, finite differences, virtual work; results of bad and extreme points."""
 
 from __future__ import annotations
+
+import dataclasses
+import math
+import sys
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,15 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deltacharger_core.machine import TORQUE_CONSTANT
-from deltacharger_kinematics import (
-    AHEAD,
-    BEHIND,
-    WORKING_MODES,
-    Delta,
-    DeltaGeometry,
-    LimbAdjustment,
-    Status,
-)
+from deltacharger_kinematics import Delta, DeltaGeometry, Inverse, LimbAdjustment, Status
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_kinematics.status import NO_ANSWER
 
@@ -48,6 +45,7 @@ def test_the_scalar_path_agrees_with_the_arrays(x: float, y: float, z: float) ->
     assert np.allclose(angles, DELTA.inverse((x, y, z)).angles, atol=1e-15)
     assert np.allclose(SCALAR.forward(*angles), (x, y, z), atol=1e-14)
     assert np.allclose(SCALAR.jacobian(x, y, z), DELTA.jacobian((x, y, z)).matrix.ravel(), atol=1e-14)
+    assert np.allclose(SCALAR.torque(x, y, z, (1.0, 2.0, 3.0)), DELTA.torque((x, y, z), (1.0, 2.0, 3.0)), atol=1e-13)
     weight = (0.0, -9.81, 0.0)
     assert np.allclose(SCALAR.holding_torque(x, y, z, weight), DELTA.holding_torque((x, y, z), weight), atol=1e-14)
 
@@ -75,7 +73,8 @@ def test_torque_does_the_work_of_the_force() -> None:
     speed = np.random.default_rng(3).normal(size=(100, 3))
     velocity = np.einsum("nij,nj->ni", DELTA.jacobian(points).matrix, speed)
     assert np.allclose((DELTA.torque(points, force) * speed).sum(-1), (force * velocity).sum(-1), atol=1e-12)
-    assert np.allclose(DELTA.force(points, DELTA.torque(points, force)), force, atol=1e-12)
+    for point, push in zip(points[:9].tolist(), force[:9].tolist(), strict=True):
+        assert np.allclose(SCALAR.force(*point, SCALAR.torque(*point, push)), push, atol=1e-12)
 
 
 def test_holding_torque_is_the_slope_of_potential_energy() -> None:
@@ -101,17 +100,16 @@ def test_holding_torque_is_the_slope_of_potential_energy() -> None:
         assert np.allclose(DELTA.holding_torque(point, gravity), slope, atol=1e-8)
 
 
-def test_contact_force_is_free_of_the_arms_weight() -> None:
-    push = np.array((1.0, -2.0, 18.0))
-    current = (DELTA.torque(DOCK, push) + DELTA.holding_torque(DOCK)) / TORQUE_CONSTANT
-    assert np.allclose(DELTA.contact_force(DOCK, current), push, atol=1e-12)
-
-
 def test_a_reachable_point_outside_the_box_or_the_joint_limits_has_a_flag() -> None:
     solved = DELTA.inverse((0.0, 0.0, 0.115))
     assert solved.status == Status.OUTSIDE_WORKSPACE
     assert np.isfinite(solved.angles).all()
     assert Status.JOINT_LIMIT | Status.LIMB_0 in DELTA.inverse((0.0, 0.0, 0.178)).status
+    for point in ((0.0, 0.0, 0.08), (0.0, 0.0, 0.115), (0.0, 0.0, 0.178), (0.15, 0.0, 0.08)):
+        angles, bits, margin = SCALAR.solve(*point) or ((), -1, math.nan)
+        alone = DELTA.inverse(point)
+        assert (bits, margin) == (alone.status, pytest.approx(alone.margin))
+        assert np.allclose(angles, alone.angles, atol=1e-15)
 
 
 def test_reachable_points_of_the_mirror_assembly_are_flagged() -> None:
@@ -124,20 +122,9 @@ def test_reachable_points_of_the_mirror_assembly_are_flagged() -> None:
     assert np.array_equal(elsewhere, (solved.status[good] & Status.WRONG_ASSEMBLY) != 0)
 
 
-@given(st.tuples(*[st.floats(-1.2, 1.3)] * 3), st.sampled_from([AHEAD, BEHIND]))
-def test_forward_kinematics_agree_alone_and_in_a_batch(arms: tuple[float, float, float], assembly: int) -> None:
-    delta = Delta(CALIBRATED, assembly=assembly)
-    alone, together = delta.forward(arms), delta.forward([arms, (0.1, 0.2, 0.3)])
-    assert alone.status == np.asarray(together.status)[0]
-    assert np.allclose(alone.position, together.position[0], atol=1e-15, equal_nan=True)
-    assert np.allclose(alone.determinant, np.asarray(together.determinant)[0], atol=1e-14, equal_nan=True)
-
-
-@pytest.mark.parametrize("mode", WORKING_MODES)
-@pytest.mark.parametrize("assembly", [AHEAD, BEHIND])
-def test_every_mode_and_assembly_is_consistent(mode: tuple[int, int, int], assembly: int) -> None:
+def test_a_calibrated_arm_is_consistent() -> None:
     """Round trip, derivative and statics hold wherever the status reports the right assembly."""
-    delta, scalar = (kind(CALIBRATED, working_mode=mode, assembly=assembly) for kind in (Delta, ScalarDelta))
+    delta, scalar = Delta(CALIBRATED), ScalarDelta(CALIBRATED)
     points = np.random.default_rng(4).uniform((-0.1, -0.1, -0.25), (0.1, 0.1, 0.15), (200, 3))
     solved = delta.inverse(points)
     refused = NO_ANSWER | Status.WRONG_ASSEMBLY | Status.NEAR_TYPE_1 | Status.NEAR_TYPE_2
@@ -159,3 +146,173 @@ def test_angle_offset_is_true_angle_minus_commanded_angle() -> None:
     offset = Delta(DeltaGeometry(limbs=(LimbAdjustment(angle_offset=0.02),) * 3))
     assert np.allclose(offset.inverse(DOCK).angles + 0.02, DELTA.inverse(DOCK).angles, atol=1e-15)
     assert np.allclose(offset.holding_torque(DOCK), DELTA.holding_torque(DOCK), atol=1e-15)
+
+
+LIMBS = Status.LIMB_0 | Status.LIMB_1 | Status.LIMB_2
+# Powers of two, so that the edge of reach is a double: motor axis 0.125 outward of the joint, arm 0.25, rod 0.5.
+BINARY = DeltaGeometry(base_radius=0.25, platform_radius=0.125, arm=0.25, rod=0.5, z_offset=0.5)
+SQUARE = DeltaGeometry(base_radius=0.25, platform_radius=0.125, arm=0.25, rod=0.25, z_offset=0.5)
+LONG_ARM = Delta(DeltaGeometry(arm=0.25, rod=0.125, base_radius=0.25, platform_radius=0.25, z_offset=0.0))
+
+pytestmark = pytest.mark.filterwarnings("error")
+
+
+def alone_and_in_a_batch(delta: Delta, point: tuple[float, float, float]) -> Inverse:
+    with np.errstate(all="raise"):
+        alone, batch, expected = delta.inverse(point), delta.inverse([DOCK, point, DOCK]), delta.inverse(DOCK)
+    for row, one in enumerate((expected, alone, expected)):
+        assert np.allclose(batch.angles[row], one.angles, rtol=0.0, atol=4e-16, equal_nan=True)
+        assert np.asarray(batch.status)[row] == one.status
+        assert np.array_equal(np.asarray(batch.margin)[row], one.margin, equal_nan=True)
+    return alone
+
+
+@pytest.mark.parametrize(
+    ("value", "status"),
+    [
+        *((value, Status.INVALID_INPUT) for value in (math.nan, math.inf)),
+        *((value, Status.UNREACHABLE_FAR | LIMBS) for value in (1e200, -sys.float_info.max)),
+    ],
+)
+@pytest.mark.parametrize("axis", range(3))
+def test_non_finite_input_is_invalid_and_overflow_unreachable(value: float, status: Status, axis: int) -> None:
+    point = (*DOCK[:axis], value, *DOCK[axis + 1 :])
+    solved = alone_and_in_a_batch(DELTA, point)
+    assert solved.status == status
+    assert np.isnan(solved.angles).all()
+    assert np.array_equal(solved.margin, math.nan if status == Status.INVALID_INPUT else -math.inf, equal_nan=True)
+    assert np.isnan(ScalarDelta().inverse(*point)).all()
+
+
+def test_denormals_and_negative_zero_are_exact() -> None:
+    for tiny in (5e-324, -0.0, 1e-200):
+        solved = alone_and_in_a_batch(DELTA, (tiny, tiny, 0.08))
+        assert np.array_equal(solved.angles, DELTA.inverse((0.0, 0.0, 0.08)).angles)
+
+
+@pytest.mark.parametrize(
+    ("delta", "point", "reason"),
+    [
+        (DELTA, (0.0, 0.0, 0.5), Status.UNREACHABLE_FAR),
+        (DELTA, (0.0, 0.3, 0.0), Status.UNREACHABLE_LATERAL),
+        (DELTA, (0.0, 0.0, -0.095), Status.UNREACHABLE_NEAR),
+        (DELTA, (0.0, 0.0, 1e5), Status.UNREACHABLE_FAR),
+        (LONG_ARM, (0.0, 0.0, 0.1), Status.UNREACHABLE_NEAR),
+        (LONG_ARM, (0.0, 0.0, 0.4), Status.UNREACHABLE_FAR),
+    ],
+)
+def test_out_of_reach_states_reason_and_limb(delta: Delta, point: tuple[float, float, float], reason: Status) -> None:
+    solved = alone_and_in_a_batch(delta, point)
+    limbs = [bool(solved.status & bit) for bit in (Status.LIMB_0, Status.LIMB_1, Status.LIMB_2)]
+    assert reason in solved.status
+    assert np.isnan(solved.angles).tolist() == limbs
+    assert solved.margin < 0.0
+
+
+@pytest.mark.parametrize(("x", "angle"), [(0.125 + 0.75, 0.0), (0.125 + 0.25, math.pi)])
+def test_exactly_at_the_edge_there_is_an_angle_and_no_margin(x: float, angle: float) -> None:
+    solved = alone_and_in_a_batch(Delta(BINARY), (x, 0.0, -0.5))
+    assert solved.angles[0] == angle
+    assert np.isnan(solved.angles[1:]).all() or solved.margin == 0.0
+    if solved.margin == 0.0:
+        assert Status.NEAR_TYPE_1 | Status.LIMB_0 in solved.status
+
+
+@pytest.mark.parametrize("distance", [0.0, 5e-324, 1e-20])
+def test_a_platform_joint_on_its_motor_axis_turns_freely(distance: float) -> None:
+    limbs = (LimbAdjustment(radius_offset=distance), LimbAdjustment(), LimbAdjustment())
+    geometry, point = dataclasses.replace(SQUARE, limbs=limbs), (0.125, 0.0, -0.5)
+    solved = alone_and_in_a_batch(Delta(geometry), point)
+    assert solved.status == Status.INDETERMINATE | Status.LIMB_0
+    assert math.isnan(solved.angles[0])
+    assert math.isnan(solved.margin)
+    if not distance:
+        assert np.isnan(ScalarDelta(geometry).inverse(*point)).all()
+        assert np.isnan(Delta(geometry).jacobian(point).matrix).all()
+
+
+@pytest.mark.parametrize("shape", [(0, 3), (2, 0, 3), (4, 5, 3)])
+def test_results_have_the_shape_of_the_points(shape: tuple[int, ...]) -> None:
+    points = np.full(shape, 0.01, dtype=np.float32)
+    solved, met = DELTA.inverse(points), DELTA.forward(points)
+    assert solved.angles.shape == met.position.shape == DELTA.torque(points, DOCK).shape == shape
+    assert np.shape(solved.status) == np.shape(solved.margin) == np.shape(met.determinant) == shape[:-1]
+    assert DELTA.jacobian(points).matrix.shape == (*shape, 3)
+
+
+@pytest.mark.parametrize("bad", ["abc", [1j, 0.0, 0.0], np.zeros((5, 4)), 0.1, [[1.0, 2.0, 3.0], [1.0, 2.0]]], ids=repr)
+def test_an_invalid_array_is_refused_by_name(bad: Any) -> None:
+    for name, call in (
+        ("position", lambda: DELTA.inverse(bad)),
+        ("position", lambda: DELTA.jacobian(bad)),
+        ("angles", lambda: DELTA.forward(bad)),
+        ("force", lambda: DELTA.torque(DOCK, bad)),
+        ("gravity", lambda: DELTA.holding_torque(DOCK, bad)),
+    ):
+        with pytest.raises(ValueError, match=f"^{name}: "):
+            call()
+
+
+def test_nan_and_unreached_points_are_unknown() -> None:
+    assert np.isnan(DELTA.torque(DOCK, (math.nan, 0.0, 0.0))).any()
+    assert np.isnan(DELTA.torque((0.0, 0.0, 0.8), (0.0, 0.0, 1.0))).all()
+    assert np.isnan(SCALAR.force(0.0, 0.0, 0.8, (0.1, 0.1, 0.1))).all()
+    assert np.isfinite(DELTA.torque(DOCK, (1e300, 0.0, 0.0))).all()
+
+
+def test_elbows_in_a_line_or_too_far_apart() -> None:
+    level = Delta(DeltaGeometry(base_radius=0.05, platform_radius=0.05))
+    straight_up = (math.pi / 2,) * 3  # the three elbows coincide
+    apart = Delta(DeltaGeometry(base_radius=0.4, rod=0.11))
+    for delta, arms, status in (
+        (level, straight_up, Status.DEGENERATE),
+        (apart, (0.0, 0.0, 0.0), Status.NOT_ASSEMBLABLE),
+        (DELTA, (math.nan, 0.0, 0.0), Status.INVALID_INPUT),
+        (DELTA, (math.inf, 0.0, 0.0), Status.INVALID_INPUT),
+    ):
+        batch = delta.forward([arms, (0.1, 0.2, 0.3)])
+        for met in (delta.forward(arms), batch):
+            assert np.ravel(met.status)[0] == status
+            assert np.isnan(met.position.reshape(-1, 3)[0]).all()
+            assert math.isnan(np.ravel(met.determinant)[0])
+        assert np.ravel(batch.status)[1] == delta.forward((0.1, 0.2, 0.3)).status
+    assert np.isnan(ScalarDelta(level.geometry).forward(*straight_up)).all()
+    assert np.isnan(ScalarDelta(apart.geometry).forward(0.0, 0.0, 0.0)).all()
+
+
+@pytest.mark.parametrize("turn", [1e3, 1e308])
+def test_angles_of_many_turns_are_equivalent(turn: float) -> None:
+    wound = DELTA.forward((turn, 0.1, 0.1))
+    plain = DELTA.forward((math.atan2(math.sin(turn), math.cos(turn)), 0.1, 0.1))
+    assert np.allclose(wound.position, plain.position, atol=1e-15, equal_nan=True)
+    assert wound.status & ~(Status.JOINT_LIMIT | LIMBS) == plain.status & ~(Status.JOINT_LIMIT | LIMBS)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1e3])
+@pytest.mark.parametrize(("arm", "rod"), [(0.1, 0.1001), (0.001, 1.0), (0.18, 0.17)])
+def test_round_trips_of_robots_large_and_small(scale: float, arm: float, rod: float) -> None:
+    """The round-trip error grows only with 1/|det|, as expected from rounded angles."""
+    geometry = DeltaGeometry(base_radius=0.055, platform_radius=0.05, arm=arm, rod=rod, z_offset=0.1)
+    lengths = ("base_radius", "platform_radius", "arm", "rod", "z_offset")
+    delta = Delta(dataclasses.replace(geometry, **{name: scale * getattr(geometry, name) for name in lengths}))
+    arms = np.random.default_rng(6).uniform(-1.2, 1.2, (1000, 3))
+    points = delta.forward(arms).position
+    solved = delta.inverse(points)
+    good = (np.asarray(solved.status) & (NO_ANSWER | Status.WRONG_ASSEMBLY | Status.NEAR_TYPE_1)) == 0
+    assert good.sum() > 25
+    points = points[good]
+    error = np.linalg.norm(delta.forward(solved.angles[good]).position - points, axis=1)
+    determinant = np.abs(delta.jacobian(points).determinant)
+    assert (error <= 1e-15 * (arm + rod) * scale / determinant).all()
+
+
+def test_a_singular_pose_is_flagged_and_does_not_affect_its_neighbours() -> None:
+    """All rods in one plane: the platform at the height of the elbows, in the middle."""
+    geometry = DeltaGeometry(base_radius=0.125, platform_radius=0.0625, arm=0.125, rod=0.1875, z_offset=0.0)
+    delta = Delta(geometry)
+    point = (0.0, 0.0, 0.0)
+    solved = delta.inverse([point, (0.0, 0.0, 0.1)])
+    assert Status.NEAR_TYPE_2 in Status(int(np.asarray(solved.status)[0]))
+    jacobian = delta.jacobian([point, (0.0, 0.0, 0.1)])
+    assert np.asarray(jacobian.condition)[0] > 1e12
+    assert np.isfinite(jacobian.matrix[1]).all()

@@ -43,34 +43,30 @@ class Exact:
 
 
 class ExactInverse(NamedTuple):
-    """Arm angles (n, 3) rad of the requested working mode and of each limb's other knee; NaN out of reach."""
+    """Arm angles (n, 3) rad with knees outward, and of each limb's other knee; NaN out of reach."""
 
     angles: Exact
     other: Exact
 
 
 class ExactDelta:
-    """The delta of one geometry, working mode and assembly, to 60 digits.
+    """The delta of one geometry, knees outward, to 60 digits.
 
     Args:
         geometry: dimensions, adjustments of the limbs included; None = the defaults.
-        working_mode: sense of each limb's knee, −1 outward.
-        assembly: +1 ahead of the elbows, −1 the mirror image.
+        ahead: whether the platform is ahead of the elbows; False = the mirror image.
 
     Raises:
         ImportError: mpmath is missing.
     """
 
-    def __init__(
-        self, geometry: DeltaGeometry | None = None, working_mode: Sequence[int] = (-1, -1, -1), assembly: int = 1
-    ) -> None:
+    def __init__(self, geometry: DeltaGeometry | None = None, ahead: bool = True) -> None:
         import mpmath
 
         self._mp = mpmath.MPContext()  # a separate context: others use the global one
         self._mp.dps = DIGITS
         self.geometry = geometry or DeltaGeometry()
-        self.working_mode = tuple(working_mode)
-        self.assembly = assembly
+        self._side = 1 if ahead else -1
         real = self._mp.mpf
         root = self._mp.sqrt(3) / 2
         self._directions = ((real(1), real(0)), (real(-1) / 2, root), (real(-1) / 2, -root))
@@ -126,7 +122,7 @@ class ExactDelta:
         q = 4 * limb["arm"] ** 2 * reach - k * k
         if q < 0 or reach == 0:
             return None
-        root = self.working_mode[index] * self._mp.sqrt(q)
+        root = -self._mp.sqrt(q)
         right = self._mp.atan2(k * w + root * u, k * u - root * w) - limb["angle"]
         wrong = self._mp.atan2(k * w - root * u, k * u + root * w) - limb["angle"]
         return (*self._split(right), *self._split(wrong))
@@ -152,7 +148,7 @@ class ExactDelta:
         p, q = ((side @ side + first - other) / (2 * square) for side, other in zip((a, b), others, strict=True))
         o = p * np.cross(b, n) + q * np.cross(n, a)
         height = (first - o @ o) / square
-        return None if height < 0 else elbows[0] + o + self.assembly * self._mp.sqrt(height) * n
+        return None if height < 0 else elbows[0] + o + self._side * self._mp.sqrt(height) * n
 
     def _elbow(self, index: int, angle: float) -> Any:
         """Return an elbow (3,) in charger_base, shifted inward by the platform's radius."""

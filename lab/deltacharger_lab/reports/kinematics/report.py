@@ -15,7 +15,7 @@ import timeit
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from deltacharger_lab.reports.kinematics.sets import PointSet
 from deltacharger_lab.reports.report import Picture, Progress, Report, at_least, at_most
 
 DEFAULT_POINTS, QUICK_POINTS = 5_000, 200
-ARRAY, PRECISE, POINT, SCALAR = "Delta.inverse, array", "Delta.inverse, precise", "Delta.inverse, point", "ScalarDelta"
+ARRAY, SCALAR = "Delta, array", "ScalarDelta"
 PICTURES: dict[str, Picture] = {}
 BATCH = 10_000
 _SINGLES = 200  # points in one timing of single calls
@@ -104,14 +104,12 @@ class Solver:
     Attributes:
         name: in the tables.
         array: (n, 3) to (n, 3) in one call; None = no such call.
-        one: a single triple; None = arrays only.
-        takes: argument of `one`: three floats or one tuple.
+        one: three floats of a single triple; None = arrays only.
     """
 
     name: str
     array: Callable[[Array], Array] | None = None
     one: Callable[..., Any] | None = None
-    takes: Literal["floats", "tuple"] = "tuple"
 
     def each(self, triples: Array) -> Callable[[], list[Any]] | None:
         """Return a call that solves triples (n, 3) one by one; None without `one`."""
@@ -119,8 +117,7 @@ class Solver:
         if one is None:
             return None
         rows = [tuple(row) for row in triples.tolist()]
-        arguments = rows if self.takes == "floats" else [(row,) for row in rows]
-        return lambda: [one(*each) for each in arguments]
+        return lambda: [one(*each) for each in rows]
 
     def solve(self, triples: Array) -> Array:
         """Return the answers (n, 3), from the array call if there is one."""
@@ -141,26 +138,13 @@ class Solver:
 def inverse_solvers(geometry: DeltaGeometry) -> list[Solver]:
     """Return all ways from points to angles."""
     delta, scalar = Delta(geometry), ScalarDelta(geometry)
-
-    def precise(points: Any) -> Any:
-        return delta.inverse(points, precise=True).angles
-
-    return [
-        Solver(ARRAY, lambda points: delta.inverse(points).angles),
-        Solver(PRECISE, precise, precise),
-        Solver(POINT, None, lambda point: delta.inverse(point).angles),
-        Solver(SCALAR, None, scalar.inverse, "floats"),
-    ]
+    return [Solver(ARRAY, lambda points: delta.inverse(points).angles), Solver(SCALAR, None, scalar.inverse)]
 
 
 def forward_solvers(geometry: DeltaGeometry) -> list[Solver]:
     """Return all ways from angles to points."""
     delta, scalar = Delta(geometry), ScalarDelta(geometry)
-    return [
-        Solver("Delta.forward, array", lambda angles: delta.forward(angles).position),
-        Solver("Delta.forward, point", None, lambda angles: delta.forward(angles).position),
-        Solver(SCALAR, None, scalar.forward, "floats"),
-    ]
+    return [Solver(ARRAY, lambda angles: delta.forward(angles).position), Solver(SCALAR, None, scalar.forward)]
 
 
 @dataclass(frozen=True)
@@ -191,7 +175,7 @@ def inverse_samples(exact: ExactDelta, plan: KinematicsPlan) -> list[ErrorSample
 
 def forward_samples(exact: ExactDelta, samples: Sequence[ErrorSample]) -> list[ErrorSample]:
     """Return the sets of arm angles for forward kinematics."""
-    mirror = ExactDelta(exact.geometry, exact.working_mode, -exact.assembly)
+    mirror = ExactDelta(exact.geometry, ahead=False)
     drawn = [dataclasses.replace(each.points, points=each.right.high, edge=None) for each in samples]
     return [ErrorSample(each, exact.forward(each.points), mirror.forward(each.points)) for each in drawn]
 
@@ -264,15 +248,12 @@ def reach_decisions(
     return drawn, found
 
 
-def round_trips(geometry: DeltaGeometry, plan: KinematicsPlan) -> dict[str, dict[str, float]]:
-    """Return |FK(IK(p)) − p| in m over the workspace box, plain and precise."""
+def round_trips(geometry: DeltaGeometry, plan: KinematicsPlan) -> dict[str, float]:
+    """Return |FK(IK(p)) − p| in m over the workspace box."""
     delta = Delta(geometry)
     points = sets.interior(geometry, plan.generator(8), plan.round_trips).points
-    found = {}
-    for name, precise in (("Delta.inverse", False), ("Delta.inverse, precise", True)):
-        back = delta.forward(delta.inverse(points, precise=precise).angles).position
-        found[name] = {"count": len(points), **_median_and_max(np.linalg.norm(back - points, axis=-1))}
-    return found
+    back = delta.forward(delta.inverse(points).angles).position
+    return {"count": len(points), **_median_and_max(np.linalg.norm(back - points, axis=-1))}
 
 
 def build(plan: KinematicsPlan, directory: Path, command: str, progress: Progress) -> dict[str, Any]:
@@ -313,18 +294,16 @@ def build(plan: KinematicsPlan, directory: Path, command: str, progress: Progres
 def targets(results: dict[str, Any]) -> list[dict[str, Any]]:
     """Return each target with what was measured and whether it is met."""
     rows = {row["name"]: row for row in results["inverse"]}
-    plain = [row["sets"] for name, row in rows.items() if name != PRECISE]
+    plain = [row["sets"] for row in rows.values()]
     *outside, inside = (each["name"] for each in results["reach"]["sets"])
     decisions = results["reach"]["solvers"].values()
-    precise = max(each["max"] for each in rows[PRECISE]["sets"].values())
     beyond, within = sum(row[name] for row in decisions for name in outside), sum(row[inside] for row in decisions)
     return [
         at_most("interior, largest error", max(row["interior"]["max"] for row in plain), 8e-16, "rad"),
         at_most("boundary, largest error", max(row["boundary"]["max"] for row in plain), 4e-16, "rad"),
-        at_most("every set, largest error with precise=True", precise, 4e-16, "rad"),
         at_most("points outside called reachable", beyond, 0.0, ""),
         at_most("points inside called unreachable", within, 0.0, ""),
-        at_most("FK of IK, largest distance", results["round_trip"]["Delta.inverse"]["max"], 5e-16, "m"),
+        at_most("FK of IK, largest distance", results["round_trip"]["max"], 5e-16, "m"),
         at_most("one point, ScalarDelta.inverse", rows[SCALAR]["one_us"], 5.0, "µs"),
         at_least("array, full solve", results["poses_per_s"], 3e6, "poses/s"),
     ]

@@ -19,7 +19,6 @@ from deltacharger_core.arrays import Array, Mask
 from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.geometry import LimbAdjustment
 from deltacharger_kinematics.solve import LimbArrays
-from deltacharger_kinematics.status import KNEE_OUT
 from deltacharger_lab.reports.kinematics.reference import ExactDelta
 
 _STEPS = np.array(list(itertools.product(range(-4, 5), repeat=3)), dtype=np.float64)  # units in the last place tried
@@ -54,7 +53,7 @@ class PointSet:
 
 def plain_edge(geometry: DeltaGeometry, points: Array) -> Array:
     """Return the distance (n, 3) m inside reach of points (n, 3) for each limb, in plain doubles."""
-    limbs = LimbArrays(geometry, KNEE_OUT)
+    limbs = LimbArrays(geometry)
     x, y, z = points.T
     across = np.hypot(x * limbs.cosine + y * limbs.sine - limbs.difference, z + limbs.motor_height)
     side = y * limbs.cosine - x * limbs.sine - limbs.tangential
@@ -184,7 +183,7 @@ def _near_edge(
     """Return points (n, 3) and their exact signed distance (n,) to the edge of reach."""
     geometry = exact.geometry
     low, high = (10.0**decade * (geometry.arm + geometry.rod) / _DEFAULT_SPAN for decade in decades)
-    arrays = LimbArrays(geometry, KNEE_OUT)
+    arrays = LimbArrays(geometry)
     arms, rods = arrays.arm[:, 0], arrays.rod[:, 0]
     clear = _CLEAR * min(arms.min(), rods.min())
     points, edges = [np.empty((0, 3))], [np.empty(0)]
