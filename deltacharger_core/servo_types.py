@@ -1,18 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Types of servos, each one row of data, and YAML files of measured servos.
+"""Types of servos, each one row of data, and the content of a file of measured servos.
 
-Types of servos, each one row of data: whoever adds a type adds its row here and its test, and nothing else.
+Whoever adds a type adds its row here and its test, and nothing else.
 Every type speaks Protocol 2.0, has the control table of the vendor's X series, counts 4096 per turn and knows mode 5
 (current-based position). All figures are from the vendor's e-manuals for 12 V, except where a row says otherwise.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
 
 from deltacharger_core.machine import (
     CURRENT_BOUND,
@@ -27,8 +24,7 @@ from deltacharger_core.machine import (
     TICKS_PER_TURN,
     TORQUE_CONSTANT,
 )
-from deltacharger_core.parameters import Bounded, ParameterError, number, words
-from deltacharger_core.yaml_file import read_declared, write_yaml
+from deltacharger_core.parameters import Bounded, number, words
 
 SPEEDS = {0: 9600, 1: 57600, 2: 115200, 3: 1_000_000, 4: 2_000_000, 5: 3_000_000, 6: 4_000_000}
 """Value of the baud register → bit/s; 7 (4.5 M) is not a standard speed of Linux."""
@@ -183,61 +179,11 @@ class ServosFileParameters(Bounded):
 
 
 @dataclass(frozen=True)
-class MeasuredServo(Bounded):
-    """One servo, or the mean of all: values and their standard errors; None = not given."""
+class MeasuredServos(Bounded):
+    """What nodes use of an arm's measured servos: means of the three, and the gains of the measurement."""
 
     stiffness: float = number(SERVO_STIFFNESS, STIFFNESS_MIN, STIFFNESS_MAX, "N·m/rad", "of the position loop")
-    stiffness_error: float | None = number(None, 0.0, STIFFNESS_MAX, "N·m/rad", "its standard error")
     torque_constant: float = number(TORQUE_CONSTANT, 0.1, 10.0, "N·m/A", "torque per current")
-    torque_constant_error: float | None = number(None, 0.0, 10.0, "N·m/A", "its standard error")
-    friction: float | None = number(None, 0.0, 3.0, "N·m", "of the powered gear")
-    friction_error: float | None = number(None, 0.0, 3.0, "N·m", "its standard error")
-    backlash: float | None = number(None, 0.0, 0.1, "rad", "play between encoder and arm, from stop to stop")
-    backlash_error: float | None = number(None, 0.0, 0.1, "rad", "its standard error")
-    damping: float | None = number(None, -1.0, 10.0, "N·m·s/rad", "of the position loop, by the D gain")
-    damping_error: float | None = number(None, 0.0, 10.0, "N·m·s/rad", "its standard error")
-
-
-@dataclass(frozen=True)
-class MeasuredServos(MeasuredServo):
-    """The servos of an arm: the means that nodes use, the gains of the measurement, and each servo.
-
-    Raises:
-        ParameterError: a value lies outside its bounds, or there are not three servos.
-    """
-
-    friction_share: float | None = number(None, -1.0, 1.0, "", "share of the torque that friction takes besides")
     position_p_gain: int = number(POSITION_P_GAIN, 1, GAIN_MAX, "", "P gain during the measurement")
     position_i_gain: int = number(0, 0, GAIN_MAX, "", "I gain during the measurement")
     position_d_gain: int = number(POSITION_D_GAIN, 0, GAIN_MAX, "", "D gain during the measurement")
-    servos: tuple[MeasuredServo, MeasuredServo, MeasuredServo] = field(
-        default_factory=lambda: (MeasuredServo(), MeasuredServo(), MeasuredServo())
-    )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if len(self.servos) != 3:
-            raise ParameterError("servos", self.servos, f"has {len(self.servos)} servos; give three or none")
-
-
-def load_servos(path: str | Path) -> MeasuredServos:
-    """Read a file of measured servos; errors as in `read_declared`."""
-    return read_declared(path, MeasuredServos)
-
-
-def save_servos(servos: MeasuredServos, path: str | Path, comment: str = "") -> None:
-    """Write measured servos atomically, with `comment` above them.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
-    write_yaml(path, servos_to_mapping(servos), comment)
-
-
-def servos_to_mapping(servos: MeasuredServos) -> dict[str, Any]:
-    """Return measured servos as plain numbers, lists and mappings, without values that are not given."""
-    content = dataclasses.asdict(servos)
-    return {
-        **{name: value for name, value in content.items() if name != "servos" and value is not None},
-        "servos": [{name: value for name, value in each.items() if value is not None} for each in content["servos"]],
-    }

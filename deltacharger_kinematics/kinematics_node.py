@@ -29,13 +29,13 @@ from rclpy.subscription import Subscription
 
 from deltacharger_core.frames import CHARGER_BASE, END_EFFECTOR, FrameParameters
 from deltacharger_kinematics import Delta
-from deltacharger_kinematics.parameters import SERVOS_FOLLOW, KinematicsNodeParameters
-from deltacharger_kinematics.ros.geometry_parameters import declare_geometry
+from deltacharger_kinematics.geometry import DeltaGeometry, load_geometry
+from deltacharger_kinematics.parameters import SERVOS_FOLLOW, GeometryFileParameters, KinematicsNodeParameters
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import node_support
 from deltacharger_ros.clock import steady_timer
 from deltacharger_ros.log import Log
-from deltacharger_ros.parameters import declare_all, declare_with_servos, reject_unknown
+from deltacharger_ros.parameters import declare_all, declare_file, declare_with_servos, reject_unknown
 from deltacharger_ros.qos import SERVICE
 
 _DEFAULT_DEPTH = 10
@@ -50,7 +50,7 @@ class KinematicsNode(Node):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("kinematics_node", **kwargs)
         self._log = Log(self)
-        geometry = declare_geometry(self)
+        geometry = declare_file(self, GeometryFileParameters, load_geometry) or DeltaGeometry()
         given = declare_with_servos(self, KinematicsNodeParameters(), SERVOS_FOLLOW)
         frames = declare_all(self, FrameParameters)
         self._charger_base, self._end_effector = frames.named(CHARGER_BASE), frames.named(END_EFFECTOR)

@@ -7,8 +7,8 @@ import math
 import sys
 import weakref
 from array import array
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
@@ -20,8 +20,8 @@ from rclpy.parameter import Parameter
 
 from deltacharger_core.files import given_path
 from deltacharger_core.parameters import Declaration, ParameterError, declared, did_you_mean
-from deltacharger_core.servo_types import MeasuredServos, ServosFileParameters, load_servos
-from deltacharger_core.yaml_file import read_yaml
+from deltacharger_core.servo_types import MeasuredServos, ServosFileParameters
+from deltacharger_core.yaml_file import read_declared, read_yaml
 from deltacharger_ros.log import Log
 from deltacharger_ros.node_support import StartupError
 
@@ -72,10 +72,10 @@ def declare_with_servos(node: Node, defaults: T, follows: Mapping[str, str], for
     Raises:
         StartupError: the file is missing or invalid, a value is out of range, or a given parameter differs.
     """
-    file = declare_all(node, ServosFileParameters).servos_file
-    if not file:
+    servos = declare_file(node, ServosFileParameters, lambda path: read_declared(path, MeasuredServos))
+    if servos is None:
         return declare_all(node, type(defaults), defaults, form)
-    servos = _measured(node, file)
+    file = node.get_parameter("servos_file").value
     measured = {name: getattr(servos, key) for name, key in follows.items()}
     try:
         given = declare_all(node, type(defaults), replace(defaults, **measured), form)  # type: ignore[type-var]
@@ -90,16 +90,23 @@ def declare_with_servos(node: Node, defaults: T, follows: Mapping[str, str], for
     return given
 
 
-def _measured(node: Node, file: str) -> MeasuredServos:
+def declare_file(node: Node, table: type[Any], read: Callable[[Path], T]) -> T | None:
+    """Declare the only parameter of a class, the path of a file, and return what `read` makes of it; None = no file.
+
+    Raises:
+        StartupError: the file is missing or invalid.
+    """
+    ((name, file),) = asdict(declare_all(node, table)).items()
+    if not file:
+        return None
     where = given_path(file).absolute()
     try:
-        return load_servos(where)
+        return read(where)
     except OSError as error:
-        reason = error.strerror or error
-        problem = f"'{where}' cannot be read: {reason}; give a file of measured servos, or remove the parameter"
+        problem = f"'{where}' cannot be read: {error.strerror or error}; give the path of such a file, or remove it"
     except ValueError as error:
         problem = str(error)
-    raise StartupError(f"{node.get_name()}: parameter 'servos_file': {problem}")
+    raise _refusal(node, name, problem)
 
 
 def was_given(node: Node, name: str) -> bool:

@@ -4,29 +4,30 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import datetime
 import math
 from typing import Any
-
-import numpy as np
 
 from deltacharger_bringup.cli.arguments import SEED, between, file_to_write, namespace_option
 from deltacharger_bringup.cli.calibrate_kinematics import geometry_of
 from deltacharger_bringup.cli.charger import DISCOVERY, prepare, ros_context
 from deltacharger_bringup.cli.output import CommandError, Interrupts, Result, Tenths, conclude, log_line
 from deltacharger_core.parameters import ParameterError
-from deltacharger_core.servo_types import MeasuredServos, save_servos, servos_to_mapping
-from deltacharger_kinematics.calibration.servo_fit import CONSTANT, FRICTION, STIFFNESS, ServoTask, ServoTrouble
+from deltacharger_core.servo_types import MeasuredServos
+from deltacharger_core.yaml_file import write_yaml
+from deltacharger_kinematics.calibration.servo_fit import STIFFNESS, ServoTask, ServoTrouble
 from deltacharger_kinematics.calibration.servo_procedure import (
     Gains,
     MeasuredArm,
     differing,
     doubts,
+    figures,
     measure_servos,
     to_file,
 )
 
-_HEADS = ("servo 1", "servo 2", "servo 3", "arm")
+_HEADS, _UNITS = ("servo 1", "servo 2", "servo 3", "arm"), ("N·m/rad", "N·m/A", "N·m", "N·m·s/rad")
 
 
 def add_servos(parser: argparse.ArgumentParser) -> None:
@@ -38,7 +39,7 @@ def add_servos(parser: argparse.ArgumentParser) -> None:
     add("--force", action="store_true", help="overwrite the file, and write doubtful numbers")
     text = "standard deviation of the weight of platform and rods (2)"
     add("--weight-percent", type=between(0.1, 20.0), default=100.0 * usual.weight_tolerance, metavar="P", help=text)
-    add("--seconds", type=between(60.0, 1800.0), default=usual.seconds, metavar="S", help="how long to measure (150)")
+    add("--seconds", type=between(60.0, 1800.0), default=usual.seconds, metavar="S", help="how long to measure (120)")
     add("--seed", type=SEED, default=0, metavar="N", help="random seed of the order of the poses (0)")
     namespace_option(parser)
 
@@ -52,7 +53,7 @@ def servos(options: argparse.Namespace) -> Result:
     prepare(options, look_around=True)
     task, gains, measured = _measured(options)
     remarks = differing(measured)
-    problems = doubts(measured, task, gains)
+    problems = doubts(measured, gains)
     try:
         found: MeasuredServos | None = to_file(measured, gains)
     except ParameterError as error:
@@ -61,9 +62,9 @@ def servos(options: argparse.Namespace) -> Result:
     def save(path: str) -> None:
         if found is None:
             raise CommandError(f"{problems[0]}; these values cannot be written")
-        save_servos(found, path, _header(task, measured, problems))
+        write_yaml(path, dataclasses.asdict(found), _header(task, measured, problems))
 
-    value = {**({} if found is None else {"servos": servos_to_mapping(found)}), **_about(measured), "doubts": problems}
+    value = {**figures(measured), **_about(measured), "doubts": problems}
     return conclude(options, bool(problems), save, _as_text(measured), value, [*problems, *remarks])
 
 
@@ -141,7 +142,8 @@ def _header(task: ServoTask, measured: MeasuredArm, problems: list[str]) -> str:
             f"{len(measured.readings)} places in {measured.seconds:.0f} s; scatter {measured.fit.scatter:.2f}",
             f"weight: platform {task.geometry.platform_mass:g} kg, each rod pair {task.geometry.rod_mass:g} kg, "
             f"known to {100.0 * task.weight_tolerance:g} %; gravity ({gravity}) m/s²",
-            "stiffness is valid only with the gains below; nodes use the first lines, `servos` lists single servos",
+            "stiffness is valid only with the gains below",
+            *_table(measured),
             *(f"doubtful: {problem}" for problem in problems),
         ]
     )
@@ -152,26 +154,22 @@ def _about(measured: MeasuredArm) -> dict[str, Any]:
 
 
 def _as_text(measured: MeasuredArm) -> str:
-    fit, play = measured.fit, measured.play
-    rows = [f"{'':<24}" + "".join(f"{head:>18}" for head in _HEADS)]
-    for name, unit, what, values in (
-        ("stiffness", "N·m/rad", STIFFNESS, fit.stiffness),
-        ("torque constant", "N·m/A", CONSTANT, fit.torque_constant),
-        ("friction", "N·m", FRICTION, fit.friction),
-    ):
-        cells = [*zip(values, fit.error(what), strict=True), fit.common(what)]
-        rows.append(f"{name:<16}{unit:<8}" + "".join(f"{_cell(*cell):>18}" for cell in cells))
-    cells = [(1e3 * width, 1e3 * error) for width, error in zip(play.width, play.error, strict=True)]
-    cells_text = "".join(f"{_cell(*cell):>18}" for cell in cells)
-    rows.append(f"{'play':<16}{'mrad':<8}{cells_text}")
-    brakes = "".join(f"{_cell(each.damping, each.damping_stddev):>18}" for each in measured.swings)
-    rows.append(f"{'damping':<16}{'N·m·s/rad':<10}{brakes[2:]}")
-    rows += ["", f"{len(measured.readings)} places in {measured.seconds:.0f} s"]
-    rows.append(f"scatter {fit.scatter:.2f} of what noise and ticks explain")
-    rows.append(f"friction takes {100.0 * fit.friction_share:.0f} % of the torque besides")
-    if np.isnan(play.width).any():
-        rows.append("play is measured only for a servo that is almost unloaded somewhere; weight hides it elsewhere")
-    return "\n".join(rows)
+    return "\n".join(
+        [
+            *_table(measured),
+            "",
+            f"{len(measured.readings)} places in {measured.seconds:.0f} s",
+            f"scatter {measured.fit.scatter:.2f} of what noise and ticks explain",
+            f"friction takes {100.0 * measured.fit.friction_share:.0f} % of the torque besides",
+        ]
+    )
+
+
+def _table(measured: MeasuredArm) -> list[str]:
+    rows = [f"{'':<26}" + "".join(f"{head:>18}" for head in _HEADS)]
+    for (name, cells), unit in zip(figures(measured).items(), _UNITS, strict=True):
+        rows.append(f"{name.replace('_', ' '):<16}{unit:<10}" + "".join(f"{_cell(*cell):>18}" for cell in cells))
+    return rows
 
 
 def _cell(value: float, error: float) -> str:

@@ -32,12 +32,13 @@ from deltacharger_docking.ros.goals import Goals
 from deltacharger_docking.ros.inputs import Inputs
 from deltacharger_docking.ros.reports import Reports
 from deltacharger_docking.ros.services import Services
-from deltacharger_kinematics.ros.geometry_parameters import declare_geometry
+from deltacharger_kinematics.geometry import DeltaGeometry, load_geometry
+from deltacharger_kinematics.parameters import GeometryFileParameters
 from deltacharger_ros import node_support, qos
 from deltacharger_ros.clock import before_now
 from deltacharger_ros.frames import Frames
 from deltacharger_ros.log import Log
-from deltacharger_ros.parameters import declare_all, declare_with_servos, reject_unknown
+from deltacharger_ros.parameters import declare_all, declare_file, declare_with_servos, reject_unknown
 from deltacharger_ros.tuning import Tuning
 
 _SERVOS_FOLLOW = {"servo_stiffness": "stiffness", "torque_constant": "torque_constant"}  # names in servos_file
@@ -64,7 +65,7 @@ class DockingNode(Node):
         robot, transforms = declare_all(self, DockingNodeParameters), declare_all(self, TransformParameters)
         defaults = DockingParameters.of(robot.servo)
         self._settings = declare_with_servos(self, defaults, _SERVOS_FOLLOW, form="{text}, {unit}")
-        geometry = declare_geometry(self)
+        geometry = declare_file(self, GeometryFileParameters, load_geometry) or DeltaGeometry()
         names = declare_all(self, ProfileNames).target_profiles
         profiles = {name: declare_all(self, TargetProfile, prefix=f"{name}.") for name in names}
         reject_unknown(self)

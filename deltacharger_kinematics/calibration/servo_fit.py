@@ -6,16 +6,10 @@ of platform and rods, known from the pose up to a common factor w near 1; f is i
 share of the torque that all gears take besides. The torque is visible twice: current = T / Kt, and goal − angle = T /
 k. Unknown are k, Kt and f of each servo, g, and w, of which only the tolerance is known. As k, Kt and f all depend on
 w, it enters all their standard errors. Also unknown is each arm's offset from its encoder, caused by play (the arm
-hangs on one side of it) and by remaining errors of the geometry. If k turns a load into few encoder ticks,
-`stiffness_by_ticks` counts them.
+hangs on one side of it) and by remaining errors of the geometry.
 
 Interface to an arm whose servos are measured, and its readings at rest.
 The same procedure runs over ROS and in virtual time; each provides a `ServoArm`.
-
-Estimates the stiffness of a servo whose loads turn it by only a few encoder ticks.
-Goals are whole ticks and readings are rounded to ticks, so goal − angle is an integer n: torque over stiffness lies
-within half a tick of n. Over few ticks this rounding does not average out like noise. Therefore each stiffness of a
-grid is weighted by the likelihood of all these integers.
 """
 
 from __future__ import annotations
@@ -58,7 +52,7 @@ class ServoTask:
     gravity: Vector = GRAVITY
     torque_constant: float = TORQUE_CONSTANT
     weight_tolerance: float = WEIGHT_TOLERANCE
-    seconds: float = 150.0
+    seconds: float = 120.0
     seed: int = 0
 
 
@@ -130,44 +124,10 @@ def _vector(row: Array) -> Vector:
     return float(row[0]), float(row[1]), float(row[2])
 
 
-_SPAN, _STEPS = 0.35, 1401  # of the logarithm of the stiffness on both sides of the first guess
-_BLURS = (0.04, 0.08, 0.15, 0.3, 0.6)
-"""Ticks, standard deviations of torque over stiffness due to torque errors; equal prior probability."""
-_STRAY = 1e-3  # probability of an outlier
-
-
-def stiffness_by_ticks(torques: Array, errors: Array, guess: float) -> tuple[float, float]:
-    """Return mean and standard deviation of the logarithm of the stiffness (N·m/rad).
-
-    Args:
-        torques: torques held by the servo, N·m (n,).
-        errors: goal − angle, rad (n,).
-        guess: N·m/rad.
-    """
-    logarithms = np.log(guess) + np.linspace(-_SPAN, _SPAN, _STEPS)
-    off = errors[:, None] / TICK - torques[:, None] / TICK * np.exp(-logarithms)
-    likelihoods = []
-    for blur in _BLURS:
-        within = _normal((off + 0.5) / blur) - _normal((off - 0.5) / blur)
-        likelihoods.append(np.log((1.0 - _STRAY) * within + _STRAY).sum(axis=0))
-    logs = np.array(likelihoods)
-    likelihood = np.exp(logs - logs.max()).sum(axis=0)
-    likelihood /= likelihood.sum()
-    mean = float(likelihood @ logarithms)
-    return mean, float(np.sqrt(likelihood @ (logarithms - mean) ** 2))
-
-
-def _normal(values: Array) -> Array:
-    """Return the normal distribution function at `values`, to 2e-4 (a logistic with a cubic term)."""
-    inner = np.clip(1.5976 * values + 0.07056 * values**3, -60.0, 60.0)
-    return np.asarray(1.0 / (1.0 + np.exp(-inner)))
-
-
 ANGLE_ERROR = TICK / math.sqrt(12.0)
 """rad; goals are whole ticks, and readings are rounded to ticks."""
 OFFSET_ERROR = 0.003
 """rad, standard deviation of an arm's offset from its encoder: half of the vendor's play of 20 arcminutes."""
-_MANY_TICKS = 8.0  # rms of goal − angle above which rounding averages out
 _CREEP = 1e-4  # rad that an arm may still be short of rest
 _ROUNDS = 12
 _PRIORS = LIMB_COUNT + 2  # rows: of weight, offsets and share
@@ -255,20 +215,19 @@ def loads_at(angles: Array, task: ServoTask) -> Array:
     return delta.holding_torque(delta.forward(angles).position, task.gravity)
 
 
-def fit_servos(readings: Sequence[StaticReading], task: ServoTask, play: Array | None = None) -> ServoFit:
+def fit_servos(readings: Sequence[StaticReading], task: ServoTask) -> ServoFit:
     """Fit all servos at once.
 
     Args:
         readings: at rest.
         task: known properties of the arm.
-        play: play between encoder and arm of each servo, rad (3,); 0 = unknown.
 
     Raises:
         ServoTrouble: there are too few readings, or the currents do not follow the weight.
     """
     if len(readings) < _FEWEST:
         raise ServoTrouble(_TOO_FEW.format(1))
-    table = _table(readings, task, np.zeros(LIMB_COUNT) if play is None else play)
+    table = _table(readings, task)
     numbers = _first_guess(table)
     for _ in range(_ROUNDS):
         residuals, slopes = _linearise(numbers, table, task.weight_tolerance)
@@ -279,17 +238,15 @@ def fit_servos(readings: Sequence[StaticReading], task: ServoTask, play: Array |
     return _result(numbers, table, task)
 
 
-def _table(readings: Sequence[StaticReading], task: ServoTask, play: Array) -> _Table:
-    currents = np.array([reading.currents for reading in readings])
+def _table(readings: Sequence[StaticReading], task: ServoTask) -> _Table:
     encoders = np.array([reading.angles for reading in readings])
-    arms = encoders - 0.5 * play * np.sign(currents)
     turning = []
     for arm in np.eye(LIMB_COUNT) * _TURNED:
-        turning.append((loads_at(arms + arm, task) - loads_at(arms - arm, task)) / (2.0 * _TURNED))
+        turning.append((loads_at(encoders + arm, task) - loads_at(encoders - arm, task)) / (2.0 * _TURNED))
     return _Table(
-        loads_at(arms, task),
+        loads_at(encoders, task),
         np.array([reading.directions for reading in readings], dtype=float),
-        currents,
+        np.array([reading.currents for reading in readings]),
         np.array([reading.current_errors for reading in readings]),
         np.array([reading.goals for reading in readings]) - encoders,
         np.stack(turning, axis=-1),
@@ -360,21 +317,6 @@ def _share(numbers: Array) -> float:
     return min(max(float(numbers[-1]), -0.9), 0.9)
 
 
-def _count_ticks(numbers: Array, covariance: Array, table: _Table, servo: int, scatter: float) -> None:
-    """Replace, in place, a stiffness that depends on few ticks and the part of its variance due to them."""
-    used = table.signs[:, servo] != 0.0
-    errors = table.errors[used, servo]
-    if float(np.sqrt(np.mean(errors**2))) > _MANY_TICKS * TICK:
-        return
-    load = table.loads[used, servo] + table.turning[used, servo] @ numbers[_WEIGHT + 1 : -1]
-    torques, _ = _torques(numbers, servo, load, table.signs[used, servo])
-    place = 3 * servo + STIFFNESS
-    squares = float(np.sum((torques * math.exp(-numbers[place])) ** 2))
-    rounded = scatter * (ANGLE_ERROR**2 + _CREEP**2) / squares
-    numbers[place], deviation = stiffness_by_ticks(torques, errors, math.exp(numbers[place]))
-    covariance[place, place] += deviation**2 - min(rounded, 0.999 * covariance[place, place])
-
-
 def _result(numbers: Array, table: _Table, task: ServoTask) -> ServoFit:
     residuals, slopes = _linearise(numbers, table, task.weight_tolerance)
     logarithms = numbers[:_WEIGHT].reshape(LIMB_COUNT, 3)
@@ -389,8 +331,6 @@ def _result(numbers: Array, table: _Table, task: ServoTask) -> ServoFit:
     scatter = float(np.sum(residuals[:rows] ** 2) / max(1, rows - _WEIGHT))
     information = slopes[:rows].T @ slopes[:rows] / max(1.0, scatter) + slopes[rows:].T @ slopes[rows:]
     covariance: Array = np.asarray(np.linalg.inv(information)[: _WEIGHT + 1, : _WEIGHT + 1], dtype=float)
-    for servo in range(LIMB_COUNT):
-        _count_ticks(numbers, covariance, table, servo, max(1.0, scatter))
     stiffness, constant = np.exp(logarithms[:, STIFFNESS]), np.exp(logarithms[:, CONSTANT])
     units = np.append(np.stack([stiffness, constant, np.ones(LIMB_COUNT)], axis=-1).ravel(), 1.0)
     covariance *= np.outer(units, units)

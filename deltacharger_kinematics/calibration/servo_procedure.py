@@ -6,13 +6,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from deltacharger_core.arrays import Array
 from deltacharger_core.machine import POSITION_D_GAIN, POSITION_P_GAIN, SERVO_STIFFNESS, TORQUE_CONSTANT
-from deltacharger_core.servo_types import MeasuredServo, MeasuredServos
+from deltacharger_core.servo_types import MeasuredServos
 from deltacharger_kinematics.calibration.servo_fit import (
     CONSTANT,
     FRICTION,
@@ -22,9 +21,8 @@ from deltacharger_kinematics.calibration.servo_fit import (
     ServoTask,
     StaticReading,
     fit_servos,
-    loads_at,
 )
-from deltacharger_kinematics.calibration.servo_walk import ArmWalk, Play, PosePlanner, sweep_play
+from deltacharger_kinematics.calibration.servo_walk import ArmWalk, PosePlanner
 from deltacharger_kinematics.geometry import LIMB_COUNT
 from deltacharger_kinematics.swing import LEAST_DAMPING, SwingReading, Swung, fit_swing, surely_swings
 
@@ -32,7 +30,6 @@ _FIRST_TURN, _TURN = 0.12, 0.03  # rad, smallest rotation of a servo before and 
 _ROUGH = 8  # readings between fits of the model
 _SURELY_TURNED = 0.015  # rad of encoder rotation, more than any play
 _SWING, _SWINGS = 0.9, 2  # A by which the goals jump, forward and back
-_AT_REST = 0.8  # share of the time for readings at rest; the other share is for play
 
 
 @dataclass(frozen=True)
@@ -42,14 +39,12 @@ class MeasuredArm:
     Attributes:
         readings: at rest, in order.
         fit: stiffness, torque constant and friction.
-        play: play between encoder and arm.
         swings: how each servo springs and brakes.
         seconds: duration of the measurement.
     """
 
     readings: tuple[StaticReading, ...]
     fit: ServoFit
-    play: Play
     swings: tuple[Swung, Swung, Swung]
     seconds: float
 
@@ -69,7 +64,7 @@ def measure_servos(
     """
     walk, planner, readings = ArmWalk(arm, task), PosePlanner(task), list[StaticReading]()
     angles = _begin(walk, planner)
-    while walk.spent < _AT_REST * task.seconds:
+    while walk.spent < task.seconds:
         progress(walk.spent / task.seconds)
         turn = _TURN if walk.fitted else _FIRST_TURN
         way = planner.next(arm.goals(), angles, walk.model, turn, walk.settling + walk.reading_time)
@@ -83,12 +78,9 @@ def measure_servos(
             walk.learn(fit_servos(readings, task))
     fit = fit_servos(readings, task)
     walk.learn(fit)
-    play = sweep_play(walk, planner, fit, max(task.seconds - walk.spent, 0.0))
-    if not np.isnan(play.width).all():
-        fit = fit_servos(readings, task, np.nan_to_num(play.width))
     swings = _swing(walk, planner, fit)
     progress(1.0)
-    return MeasuredArm(tuple(readings), fit, play, swings, walk.spent)
+    return MeasuredArm(tuple(readings), fit, swings, walk.spent)
 
 
 def _swing(walk: ArmWalk, planner: PosePlanner, fit: ServoFit) -> tuple[Swung, Swung, Swung]:
@@ -133,7 +125,6 @@ FAR_CONSTANT = 0.3
 """Largest relative difference of a torque constant from the vendor's."""
 _DIFFERS, _NOTICED = 4.0, 0.08  # standard errors and share above which a servo differs from the others
 _UNSURE = 0.15  # largest relative standard error of a stiffness
-_TURNED = math.radians(8.0)  # rotation of gravity that is reported
 
 
 @dataclass(frozen=True)
@@ -145,33 +136,18 @@ class Gains:
     d: int = POSITION_D_GAIN
 
 
-def doubts(measured: MeasuredArm, task: ServoTask, gains: Gains) -> list[str]:
+def doubts(measured: MeasuredArm, gains: Gains) -> list[str]:
     """Return the reasons not to use the measurement; empty = use it."""
-    found = [*_of_the_weight(measured, task), *_of_the_numbers(measured, gains), *_of_the_swings(measured, gains)]
-    if not found:  # otherwise these explain it
-        found = [
-            f"play and friction do not explain how servo {servo + 1} turns back: check for a loose rod or horn"
-            for servo in measured.play.strange
-        ]
-    return found
+    return [*_of_the_weight(measured.fit), *_of_the_numbers(measured, gains), *_of_the_swings(measured, gains)]
 
 
-def _of_the_weight(measured: MeasuredArm, task: ServoTask) -> list[str]:
-    fit, found = measured.fit, []
+def _of_the_weight(fit: ServoFit) -> list[str]:
+    found = []
     if fit.scatter > UNEXPLAINED:
-        turned = gravity_by_currents(measured, task)
-        angle = math.acos(float(np.clip(turned @ np.array(task.gravity) / np.linalg.norm(task.gravity), -1.0, 1.0)))
-        hint = ", ".join(f"{9.81 * value:.1f}" for value in turned)
         found.append(
             f"the torques do not match the arm's weight: they scatter {fit.scatter:.1f} times as much as noise and "
-            "ticks explain; "
-            + (
-                f"they look like gravity ({hint}) m/s², {math.degrees(angle):.0f}° from docking_node's parameters: "
-                "correct gravity"
-                if angle > _TURNED
-                else "remove the target; check for a loose platform, rod or horn and a pulling cable, and check the "
-                "geometry"
-            )
+            "ticks explain; correct gravity of docking_node, remove the target, and check for a loose platform, rod or "
+            "horn, a pulling cable and another geometry"
         )
     mean = fit.common(CONSTANT)[0]
     if abs(mean / TORQUE_CONSTANT - 1.0) > FAR_CONSTANT:
@@ -216,23 +192,6 @@ def _of_the_swings(measured: MeasuredArm, gains: Gains) -> list[str]:
     ]
 
 
-def gravity_by_currents(measured: MeasuredArm, task: ServoTask) -> Array:
-    """Return the direction (3,) of gravity that fits the currents best."""
-    angles = np.array([reading.angles for reading in measured.readings])
-    currents = np.array([reading.currents for reading in measured.readings])
-    signs = np.array([reading.directions for reading in measured.readings], dtype=float)
-    parts = np.stack(
-        [loads_at(angles, ServoTask(task.geometry, (float(x), float(y), float(z)))) for x, y, z in np.eye(3)], axis=-1
-    )
-    rows = np.zeros((*signs.shape, 3 + LIMB_COUNT))
-    rows[..., :3] = parts
-    for servo in range(LIMB_COUNT):
-        rows[:, servo, 3 + servo] = signs[:, servo]
-    used = signs != 0.0
-    found, *_ = np.linalg.lstsq(rows[used], currents[used], rcond=None)
-    return np.asarray(found[:3] / max(float(np.linalg.norm(found[:3])), 1e-12))
-
-
 def differing(measured: MeasuredArm) -> list[str]:
     """Return as text which servos differ from the other two by more than errors explain, and how."""
     fit, found = measured.fit, []
@@ -257,43 +216,19 @@ def to_file(measured: MeasuredArm, gains: Gains) -> MeasuredServos:
     Raises:
         ParameterError: a value lies outside the bounds of the nodes.
     """
-    fit, play, swings = measured.fit, measured.play, measured.swings
-    servos = [
-        MeasuredServo(
-            **_numbers(
-                (fit.stiffness[servo], fit.error(STIFFNESS)[servo]),
-                (fit.torque_constant[servo], fit.error(CONSTANT)[servo]),
-                (fit.friction[servo], fit.error(FRICTION)[servo]),
-                (play.width[servo], play.error[servo]),
-                (swings[servo].damping, swings[servo].damping_stddev),
-            )
+    stiffness, constant = (float(f"{measured.fit.common(what)[0]:.6g}") for what in (STIFFNESS, CONSTANT))
+    return MeasuredServos(stiffness, constant, gains.p, gains.i, gains.d)
+
+
+def figures(measured: MeasuredArm) -> dict[str, list[tuple[float, float]]]:
+    """Return value and standard error of each servo and then, but for damping, of the arm; NaN = not measured."""
+    fit = measured.fit
+    found = {
+        name: [*zip(values.tolist(), fit.error(what).tolist(), strict=True), fit.common(what)]
+        for name, what, values in (
+            ("stiffness", STIFFNESS, fit.stiffness),
+            ("torque_constant", CONSTANT, fit.torque_constant),
+            ("friction", FRICTION, fit.friction),
         )
-        for servo in range(LIMB_COUNT)
-    ]
-    seen = np.isfinite(play.width)
-    common_play = (math.nan, math.nan)
-    if seen.any():
-        common_play = (float(play.width[seen].mean()), float(np.hypot.reduce(play.error[seen]) / seen.sum()))
-    known = [(each.damping, each.damping_stddev) for each in swings if math.isfinite(each.damping)]
-    mean, errors = np.mean(known, axis=0) if known else (math.nan, math.nan)
-    damping = float(mean), float(errors) / math.sqrt(max(len(known), 1))
-    common = _numbers(fit.common(STIFFNESS), fit.common(CONSTANT), fit.common(FRICTION), common_play, damping)
-    first, second, third = servos
-    return MeasuredServos(
-        **common,
-        friction_share=float(f"{fit.friction_share:.3g}"),
-        position_p_gain=gains.p,
-        position_i_gain=gains.i,
-        position_d_gain=gains.d,
-        servos=(first, second, third),
-    )
-
-
-def _numbers(*pairs: tuple[float, float]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    names = "stiffness", "torque_constant", "friction", "backlash", "damping"
-    for name, (value, error) in zip(names, pairs, strict=True):
-        known = math.isfinite(value)
-        found[name] = float(f"{value:.6g}") if known else None
-        found[f"{name}_error"] = float(f"{error:.3g}") if known else None
-    return found
+    }
+    return {**found, "damping": [(each.damping, each.damping_stddev) for each in measured.swings]}

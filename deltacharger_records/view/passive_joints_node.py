@@ -20,12 +20,13 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 from deltacharger_core.frames import CHARGER_BASE, JointFrameParameters
-from deltacharger_kinematics.ros.geometry_parameters import declare_geometry
+from deltacharger_kinematics.geometry import DeltaGeometry, load_geometry
+from deltacharger_kinematics.parameters import GeometryFileParameters
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_records.parameters import PassiveJointsNodeParameters
 from deltacharger_records.view.shapes import passive_joints
 from deltacharger_ros import node_support, qos
-from deltacharger_ros.parameters import declare_all, reject_unknown
+from deltacharger_ros.parameters import declare_all, declare_file, reject_unknown
 
 
 class PassiveJointsNode(Node):
@@ -36,7 +37,7 @@ class PassiveJointsNode(Node):
         rate = declare_all(self, PassiveJointsNodeParameters).rate
         frames = declare_all(self, JointFrameParameters)
         self._frame_id, self._prefix = frames.named(CHARGER_BASE), frames.joint_prefix
-        self._delta = ScalarDelta(declare_geometry(self))
+        self._delta = ScalarDelta(declare_file(self, GeometryFileParameters, load_geometry) or DeltaGeometry())
         reject_unknown(self)
         self._period = 1.0 / rate
         self._last = -math.inf

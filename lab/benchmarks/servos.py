@@ -45,8 +45,7 @@ class DrawnArm(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Relative errors (3 numbers, 3 servos) and their estimates, also for a known weight (own); the arm's means (3);
-    play (rad)."""
+    """Relative errors (3 numbers, 3 servos) and their estimates, also for a known weight (own); the arm's means (3)."""
 
     errors: np.ndarray
     estimated: np.ndarray
@@ -55,7 +54,6 @@ class Found(NamedTuple):
     weight: float
     common: np.ndarray
     common_estimated: np.ndarray
-    play: tuple[float, float]
     scatter: float
     seconds: float
 
@@ -110,7 +108,6 @@ def measured(arm: DrawnArm) -> Found:
         arm.weight - 1.0,
         np.array([common[part][0] / middle[part] - 1.0 for part in parts]),
         np.array([common[part][1] / middle[part] for part in parts]),
-        (found.play.width[0] - arm.backlash, found.play.error[0]),
         fit.scatter,
         body.now,
     )
@@ -139,14 +136,6 @@ def table(found: list[Found]) -> None:
     row("the weight's error alone", weights, np.full(len(found), WEIGHT_TOLERANCE), 0.05)
     for part, (name, target) in enumerate(zip(NAMES, TARGETS, strict=True)):
         row(f"{name} without it", own[:, part].ravel(), own_estimated[:, part].ravel(), target)
-    off, wide = np.array([each.play for each in found]).T
-    seen = np.isfinite(off)
-    off, wide = 1e3 * off[seen], 1e3 * wide[seen]
-    print(
-        f"play of servo 1, mrad, {seen.sum()} arms: rms {np.sqrt(np.mean(off**2)):.2f}, p95 "
-        f"{np.percentile(np.abs(off), 95):.2f}, worst {np.abs(off).max():.2f}, est. ± {np.median(wide):.2f}, within "
-        f"1 σ, 1.96 σ {covered(off, wide)} %"
-    )
     print(
         f"scatter {np.median([each.scatter for each in found]):.2f} (worst {max(each.scatter for each in found):.2f}), "
         f"time {max(each.seconds for each in found):.0f} s at most"

@@ -23,7 +23,7 @@ from deltacharger_core import real_time
 from deltacharger_core.machine import ChargeLimits, Port
 from deltacharger_core.parameters import ParameterError, declared
 from deltacharger_core.script import NEXT
-from deltacharger_core.servo_types import MX_64, XM430_W350, MeasuredServo, ServoType
+from deltacharger_core.servo_types import MX_64, XM430_W350, MeasuredServos, ServoType
 from deltacharger_docking import (
     algorithm,
     arm,
@@ -870,7 +870,7 @@ SETTINGS = (
     *settable(DockingParameters, ("tactile_age_max", 2.0, 2.1), ("magnet_force", 300.0, 300.1)),
     *settable(DockingParameters, ("power_age_max", 2.0, 2.1), ("detection_age_max", 10.0, 10.1)),
     *settable(ServoNodeParameters, ("current_max", 4.1, 4.2), ("current_bound", 4.1, 4.2)),
-    *settable(MeasuredServo, ("stiffness", 0.5, 0.4), ("stiffness", 160.0, 161.0), ("torque_constant", 0.1, 0.09)),
+    *settable(MeasuredServos, ("stiffness", 0.5, 0.4), ("stiffness", 160.0, 161.0), ("torque_constant", 0.1, 0.09)),
     *settable(TactileNodeParameters, ("pitch", 1e-4, 9e-5), ("rate", 200.0, 201.0)),
 )
 
