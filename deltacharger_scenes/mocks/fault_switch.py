@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
@@ -12,44 +11,13 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 
-class FaultSwitch:
-    """The fault of a node with the declared parameter `fault`, which may be changed at runtime.
+def fault_switch(node: Node, faults: Sequence[str]) -> Callable[[], str]:
+    """Return what returns the present value of a node's declared parameter `fault`; unknown values are refused."""
 
-    Args:
-        node: with the fault.
-        faults: possible values.
-        delay: s from setting it until it acts.
-    """
+    def check(parameters: Sequence[Parameter[Any]]) -> SetParametersResult:
+        wrong = [each.value for each in parameters if each.name == "fault" and each.value not in faults]
+        reason = f"fault '{wrong[0]}' is unknown: give one of {', '.join(faults)}" if wrong else ""
+        return SetParametersResult(successful=not wrong, reason=reason)
 
-    def __init__(self, node: Node, faults: Sequence[str], delay: float) -> None:
-        self._faults = tuple(faults)
-        self._delay = delay
-        self._name = "none"
-        self._since = time.monotonic()
-        self._reported = False
-        self._refresh(node.get_parameter("fault").value)
-        node.add_on_set_parameters_callback(self._on_set)
-
-    def active(self) -> str:
-        """Return the active fault; "none" if there is none."""
-        return self._name if time.monotonic() - self._since >= self._delay else "none"
-
-    def first_time(self) -> bool:
-        """Return True at the first call since the fault was set; call it while the fault acts."""
-        fresh = not self._reported
-        self._reported = True
-        return fresh
-
-    def _refresh(self, name: str) -> None:
-        if name != self._name:
-            self._name, self._since, self._reported = name, time.monotonic(), False
-
-    def _on_set(self, parameters: Sequence[Parameter[Any]]) -> SetParametersResult:
-        for parameter in parameters:
-            if parameter.name != "fault":
-                continue
-            if parameter.value not in self._faults:
-                reason = f"fault '{parameter.value}' is unknown: give one of {', '.join(self._faults)}"
-                return SetParametersResult(successful=False, reason=reason)
-            self._refresh(parameter.value)
-        return SetParametersResult(successful=True)
+    node.add_on_set_parameters_callback(check)
+    return lambda: str(node.get_parameter("fault").value)

@@ -2,15 +2,12 @@
 """mock_detector_node: electrode_detector_node without a camera, for tests of the layers above it.
 
 Publishes: electrode_detection on request. Serves: detect_electrodes.
-Parameters: reported pose of the electrodes (x, y, z, roll, yaw and pitch in charger_base), its uncertainty, and
-`fault`, which may be changed at runtime:
+Parameters: reported pose of the electrodes (x, y, z, roll in charger_base), and `fault`, which may be changed at
+runtime:
 
 nothing        it finds no electrodes
-stale          the image is 10 s old
 beyond_reach   the electrodes are reported 0.5 m away
-unsure_roll    the roll's standard deviation is 10 degrees
 leaning        the faces are yawed by 10 degrees
-no_normal      the electrodes' lean is unknown
 """
 
 from __future__ import annotations
@@ -23,7 +20,6 @@ import numpy as np
 from deltacharger.msg import ElectrodeDetection
 from deltacharger.srv import DetectElectrodes
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.duration import Duration
 from rclpy.node import Node
 
 from deltacharger_core.frames import CHARGER_BASE, FrameParameters
@@ -31,15 +27,14 @@ from deltacharger_ros import node_support, qos
 from deltacharger_ros.messages import unknown
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import SERVICE
-from deltacharger_scenes.mocks.fault_switch import FaultSwitch
+from deltacharger_scenes.mocks.fault_switch import fault_switch
 from deltacharger_scenes.mocks.parameters import DETECTOR_FAULTS, MockDetectorNodeParameters
 from deltacharger_vision.mount import Placed, leaning_normal
 from deltacharger_vision.ros.messages import detection_message
 
-_STALE_AGE = 10.0  # s
 _FAR = 0.5  # m
 _YAW = math.radians(10.0)
-_UNSURE_ROLL = math.radians(10.0)
+_DEVIATIONS = (0.001, 0.001, 0.001, 0.009, 0.009, 0.004)  # m and rad, standard deviations
 _CAMERA = (0.0, 0.12, -0.12)  # m
 
 
@@ -52,7 +47,7 @@ class MockDetectorNode(Node):
         self._frame_id = declare_all(self, FrameParameters).named(CHARGER_BASE)
         reject_unknown(self)
         self._given = given
-        self._fault = FaultSwitch(self, DETECTOR_FAULTS, given.fault_delay)
+        self._fault = fault_switch(self, DETECTOR_FAULTS)
         self._detections = self.create_publisher(ElectrodeDetection, "electrode_detection", qos.DEFAULT_DEPTH)
         self.create_service(
             DetectElectrodes,
@@ -68,7 +63,7 @@ class MockDetectorNode(Node):
     def _on_detect(
         self, request: DetectElectrodes.Request, response: DetectElectrodes.Response
     ) -> DetectElectrodes.Response:
-        fault = self._fault.active()
+        fault = self._fault()
         if fault == "nothing":
             unknown(response)
             response.message = "no electrodes in the image; turn the robot toward the target or clean the lens"
@@ -81,16 +76,11 @@ class MockDetectorNode(Node):
         return response
 
     def _detection(self, fault: str) -> ElectrodeDetection:
-        given, stamp = self._given, self.get_clock().now()
-        if fault == "stale":
-            stamp -= Duration(seconds=_STALE_AGE)
+        given, stamp = self._given, self.get_clock().now().to_msg()
         position = np.array([given.x, given.y, _FAR if fault == "beyond_reach" else given.z])
-        roll_stddev = _UNSURE_ROLL if fault == "unsure_roll" else given.roll_stddev
-        deviations = [given.position_stddev] * 3 + [given.lean_stddev] * 2 + [roll_stddev]
-        yaw = _YAW if fault == "leaning" else given.yaw
-        normal = np.full(3, math.nan) if fault == "no_normal" else leaning_normal(yaw, given.pitch)
-        placed = Placed(position, given.roll, normal, np.diag(np.square(deviations)))
-        return detection_message(placed, stamp.to_msg(), 0.95, math.dist(position, _CAMERA), self._frame_id)
+        normal = leaning_normal(_YAW if fault == "leaning" else 0.0, 0.0)
+        placed = Placed(position, given.roll, normal, np.diag(np.square(_DEVIATIONS)))
+        return detection_message(placed, stamp, 0.95, math.dist(position, _CAMERA), self._frame_id)
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -2,15 +2,8 @@
 """mock_navigator_node: Nav2's navigate_to_pose without Nav2, for tests and demonstrations.
 
 Serves: navigate_to_pose. It moves only its assumed pose of the base: straight to the goal, then turning.
-Parameters: initial pose and speeds of the base, its offset from a goal when it stops, and `fault`, which may be changed
-at runtime:
-
-refuse         it rejects goals, like an inactive navigator
-abort          it gives up half-way
-lost           it gives up at once: its pose is unknown
-never_answers  it accepts a goal, does nothing, and answers nothing, not even a cancel
-slow           it drives at a tenth of its speed
-mute           it drives, but never reports its pose
+Parameters: initial x and speed of the base, and `fault`, which may be changed at runtime: `abort` lets it give up
+half-way.
 """
 
 from __future__ import annotations
@@ -21,7 +14,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from rclpy.action.server import CancelResponse, GoalResponse
+from rclpy.action.server import CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 
@@ -33,11 +26,11 @@ from deltacharger_ros import node_support
 from deltacharger_ros.action_server import KeepingServer
 from deltacharger_ros.messages import duration
 from deltacharger_ros.parameters import declare_all, reject_unknown
-from deltacharger_scenes.mocks.fault_switch import FaultSwitch
+from deltacharger_scenes.mocks.fault_switch import fault_switch
 from deltacharger_scenes.mocks.parameters import NAVIGATOR_FAULTS, MockNavigatorNodeParameters
 
+_FRAME = "map"
 _TICK = 0.02  # s
-_SLOW = 0.1  # of its speed
 _TF_ERROR = 9002  # Nav2's codes since Kilted
 _UNKNOWN = 9000
 
@@ -53,10 +46,10 @@ class MockNavigatorNode(Node):
         super().__init__("mock_navigator_node", **kwargs)
         given = declare_all(self, MockNavigatorNodeParameters)
         reject_unknown(self)
-        self._frame, self._speed, self._turn_speed = given.frame, given.speed, given.turn_speed
-        self._fault = FaultSwitch(self, NAVIGATOR_FAULTS, given.fault_delay)
+        self._speed = given.speed
+        self._fault = fault_switch(self, NAVIGATOR_FAULTS)
         self._action = load_navigation("nav2")
-        self._place = Place(given.x, given.y, given.yaw, self._frame)
+        self._place = Place(given.x, 0.0, 0.0, _FRAME)
         self.arrived: list[Place] = []
         self._stopping = threading.Event()
         self._server = KeepingServer(
@@ -65,7 +58,6 @@ class MockNavigatorNode(Node):
             self._action,
             "navigate_to_pose",
             execute_callback=self._execute,
-            goal_callback=self._on_goal,
             cancel_callback=lambda handle: CancelResponse.ACCEPT,
             callback_group=ReentrantCallbackGroup(),
         )
@@ -85,34 +77,27 @@ class MockNavigatorNode(Node):
             self._server.destroy()
         super().destroy_node()
 
-    def _on_goal(self, request: Any) -> GoalResponse:
-        return GoalResponse.REJECT if self._fault.active() == "refuse" else GoalResponse.ACCEPT
-
     def _execute(self, handle: Any) -> Any:
         result = self._action.Result()
         goal = read_place(handle.request.pose)
-        if goal is None or goal.frame != self._frame or self._fault.active() == "lost":
+        if goal is None or goal.frame != _FRAME:
             result.error_code, result.error_msg = _TF_ERROR, "the pose of the base is unknown in that frame"
             handle.abort()
             return result
         halfway = 0.5 * self._place.distance(goal)
         started = last = time.monotonic()
         while not self._stopping.wait(_TICK):
-            fault, now = self._fault.active(), time.monotonic()
-            if fault == "never_answers":
-                last = now
-                continue
+            now = time.monotonic()
             if handle.is_cancel_requested:
                 handle.canceled()
                 return result
-            if fault == "abort" and self._place.distance(goal) <= halfway:
+            if self._fault() == "abort" and self._place.distance(goal) <= halfway:
                 result.error_code, result.error_msg = _UNKNOWN, "the way is blocked"
                 handle.abort()
                 return result
-            self._advance(goal, (now - last) * (_SLOW if fault == "slow" else 1.0))
+            self._advance(goal, now - last)
             last = now
-            if fault != "mute":
-                self._feed_back(handle, goal, now - started)
+            self._feed_back(handle, goal, now - started)
             if self._place == goal:
                 self.arrived.append(goal)
                 handle.succeed()
@@ -127,12 +112,12 @@ class MockNavigatorNode(Node):
         if left > reach:
             share = reach / left
             x, y = here.x + share * (end.x - here.x), here.y + share * (end.y - here.y)
-            self._place = Place(x, y, here.yaw, self._frame)
+            self._place = Place(x, y, here.yaw, _FRAME)
             return
         turn = math.remainder(end.yaw - here.yaw, 2.0 * math.pi)
-        step = self._turn_speed * seconds
+        step = 2.0 * reach
         yaw = end.yaw if abs(turn) <= step else here.yaw + math.copysign(step, turn)
-        self._place = Place(end.x, end.y, yaw, self._frame)
+        self._place = Place(end.x, end.y, yaw, _FRAME)
 
     def _feed_back(self, handle: Any, end: Place, seconds: float) -> None:
         message = self._action.Feedback(navigation_time=duration(seconds), distance_remaining=self._place.distance(end))

@@ -1,19 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """mock_servo_node: servo_node without servos, for tests of the layers above it.
 
-Subscribes: joint_trajectory. Publishes: servo_state, joint_states, /diagnostics. Serves: set_torque, reboot_servos.
+Subscribes: joint_trajectory. Publishes: servo_state, joint_states. Serves: set_torque, reboot_servos.
 Names, units and trajectory code are servo_node's; a `MockArm` replaces the hardware.
-Parameters: rate, the plane of the target, and `fault`, which may be changed at runtime:
+Parameter: `fault`, which may be changed at runtime: with `silence` servo_state stops.
 
-silence         servo_state stops
-nan_current     the currents are not measured
-missing         servo 2 does not answer: valid false, its numbers NaN
-hardware_error  servo 2 reports overload and loses its torque until reboot_servos
-jam             nothing moves, at any current
-
-The mock nodes' arm: three servos on the real geometry, and one elastic plane to press on and stick to.
-It is deliberately simple: deltacharger_sim has the realistic arm; this one is for tests of nodes, not of physics. Its
-servos have a rotor, because docking measures their damping by a jump.
+The mock arm is for tests of nodes, not of physics: three servos on the real geometry, and one elastic plane to press on
+and stick to. Its servos have a rotor, because docking measures their damping by a jump.
 """
 
 from __future__ import annotations
@@ -50,11 +43,10 @@ from deltacharger_kinematics import DeltaGeometry
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import node_support, qos
 from deltacharger_ros.clock import stamp_age
-from deltacharger_ros.diagnostics import WARN, Diagnostics
 from deltacharger_ros.messages import seconds
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import SERVICE
-from deltacharger_scenes.mocks.fault_switch import FaultSwitch
+from deltacharger_scenes.mocks.fault_switch import fault_switch
 from deltacharger_scenes.mocks.parameters import SERVO_FAULTS, MockServoNodeParameters
 
 Vector = tuple[float, float, float]
@@ -64,10 +56,7 @@ _STEP = 0.002  # s; the stiffest motion (contact, all three servos) decays in 9 
 
 
 class MockArm:
-    """Three servos that follow their goals, and a platform that presses on a plane.
-
-    Args:
-        target_z: m in charger_base, plane in which contact begins.
+    """Three servos that follow their goals, and a platform that presses on the plane z = DOCK_DISTANCE.
 
     Attributes:
         angles: rad, measured.
@@ -76,18 +65,15 @@ class MockArm:
         goals: rad.
         bounds: A, largest current of each servo.
         torque_enabled: per servo; a servo without torque keeps its angle (its gear holds it).
-        jammed: nothing moves, as if the magnets did not release.
     """
 
-    def __init__(self, target_z: float = DOCK_DISTANCE) -> None:
-        self._target_z = target_z
+    def __init__(self) -> None:
         self._delta = ScalarDelta()
         self.angles = list(self._delta.inverse(0.0, 0.0, 0.0))
         self.goals = list(self.angles)
         self.velocities, self.currents = [0.0] * 3, [0.0] * 3
         self.bounds = [CURRENT_BOUND] * 3
         self.torque_enabled = [False] * 3
-        self.jammed = False
         self._touched: Vector | None = None
 
     @property
@@ -114,22 +100,21 @@ class MockArm:
             wanted = SERVO_STIFFNESS * (self.goals[index] - self.angles[index]) - _DAMPING * self.velocities[index]
             torque = min(max(wanted, -bound), bound)
             self.currents[index] = torque / TORQUE_CONSTANT
-            if not self.jammed:
-                self.velocities[index] += dt * (torque - hold - press) / SERVO_INERTIA
-                self.angles[index] += dt * self.velocities[index]
+            self.velocities[index] += dt * (torque - hold - press) / SERVO_INERTIA
+            self.angles[index] += dt * self.velocities[index]
         if not math.isfinite(self.position[0]):
             self.angles, self.velocities = before, [0.0] * 3  # the rods' end stop
 
     def _contact_force(self, position: Vector) -> Vector:
         """Return the platform's force on the plane (N); it sticks where it touched."""
-        if position[2] <= self._target_z:
+        if position[2] <= DOCK_DISTANCE:
             self._touched = None
             return 0.0, 0.0, 0.0
         x, y, _ = self._touched = self._touched or position
-        return _CONTACT * (position[0] - x), _CONTACT * (position[1] - y), _CONTACT * (position[2] - self._target_z)
+        return _CONTACT * (position[0] - x), _CONTACT * (position[1] - y), _CONTACT * (position[2] - DOCK_DISTANCE)
 
 
-_BROKEN = 1  # index of the servo affected by the faults
+_PERIOD = 0.01  # s of a cycle
 
 
 class MockServoNode(Node):
@@ -137,22 +122,20 @@ class MockServoNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("servo_node", **kwargs)
-        given, frames = declare_all(self, MockServoNodeParameters), declare_all(self, JointFrameParameters)
+        declare_all(self, MockServoNodeParameters)
+        frames = declare_all(self, JointFrameParameters)
         reject_unknown(self)
-        self._rate = given.rate
         self._frame_id = frames.named(CHARGER_BASE)
         self._joint_names = [f"{frames.joint_prefix}{name}" for name in JOINTS]
         geometry = DeltaGeometry()
         self._limits = JointLimits(JOINTS, geometry.joint_min, geometry.joint_max, STALL_TORQUE)
-        self._fault = FaultSwitch(self, SERVO_FAULTS, given.fault_delay)
+        self._fault = fault_switch(self, SERVO_FAULTS)
         self._lock = threading.Lock()
-        self._arm = MockArm(given.target_z)
-        self._goals = ServoGoals(len(JOINTS), given.current_bound, TORQUE_CONSTANT)
+        self._arm = MockArm()
+        self._goals = ServoGoals(len(JOINTS), CURRENT_BOUND, TORQUE_CONSTANT)
         self._goals.begin_at(tuple(self._arm.angles))
-        self._error = [0, 0, 0]
         self._state = self.create_publisher(ServoState, "servo_state", qos.LATEST)
         self._joints = self.create_publisher(JointState, "joint_states", qos.DEFAULT_DEPTH)
-        self._diagnostics = Diagnostics(self)
         group = ReentrantCallbackGroup()
         self.create_subscription(JointTrajectory, "joint_trajectory", self._on_trajectory, qos.LATEST)
         self.create_service(SetBool, "set_torque", self._on_torque, callback_group=group, qos_profile=SERVICE)
@@ -180,59 +163,33 @@ class MockServoNode(Node):
         with self._lock:
             return any(self._arm.torque_enabled)
 
-    def reboot(self) -> None:
-        """Clear hardware errors and switch torque off, as reboot_servos does."""
-        with self._lock:
-            self._goals.hold(self._arm.angles)
-            self._error = [0, 0, 0]
-            self._arm.torque_enabled = [False] * 3
-
     def _run(self) -> None:
-        period = 1.0 / self._rate
         due = last = time.monotonic()
         while not self._stop.wait(max(due - time.monotonic(), 0.0)):
             now, stamp = time.monotonic(), self.get_clock().now().to_msg()
             with self._lock:
-                self._apply_fault()
                 self._goals.advance(now)
                 self._arm.goals, self._arm.bounds = list(self._goals.angles), list(self._goals.bounds)
                 self._arm.advance(min(now - last, 0.1))
                 message = self._message()
                 message.header.stamp = stamp  # of the arm, however long this takes
             last = now
-            due = max(due + period, now - period)
-            if self._fault.active() != "silence" and self.context.ok():
+            due = max(due + _PERIOD, now - _PERIOD)
+            if self._fault() != "silence" and self.context.ok():
                 self._publish(message)
-
-    def _apply_fault(self) -> None:
-        fault = self._fault.active()
-        self._arm.jammed = fault == "jam"
-        if fault == "hardware_error" and self._fault.first_time():
-            self._error[_BROKEN] = ServoState.ERROR_OVERLOAD
-            self._arm.torque_enabled[_BROKEN] = False
 
     def _message(self) -> ServoState:
         message = ServoState()
         message.header.frame_id = self._frame_id
         message.name = list(JOINTS)
-        current = list(self._arm.currents)
-        valid = [True] * 3
-        position, velocity = list(self._arm.angles), list(self._arm.velocities)
-        fault = self._fault.active()
-        if fault == "nan_current":
-            current = [math.nan] * 3
-        elif fault == "missing":
-            valid[_BROKEN] = False
-            for values in (position, velocity, current):
-                values[_BROKEN] = math.nan
-        message.position = array.array("d", position)
-        message.velocity = array.array("d", velocity)
-        message.current = array.array("d", current)
+        message.position = array.array("d", self._arm.angles)
+        message.velocity = array.array("d", self._arm.velocities)
+        message.current = array.array("d", self._arm.currents)
         message.voltage = array.array("f", [NOMINAL_VOLTAGE] * 3)
         message.temperature = array.array("f", [35.0] * 3)
-        message.hardware_error = array.array("B", self._error)
+        message.hardware_error = array.array("B", [0] * 3)
         message.torque_enabled = list(self._arm.torque_enabled)
-        message.valid = valid
+        message.valid = [True] * 3
         message.thermal_reserve = array.array("f", [math.inf] * 3)
         return message
 
@@ -253,7 +210,6 @@ class MockServoNode(Node):
             trajectory = check(message.joint_names, points, self._limits)
         except TrajectoryRefused as refusal:
             self.get_logger().warning(str(refusal))
-            self._diagnostics.report(WARN, str(refusal), {}, "joint_trajectory")
             return
         now = time.monotonic()
         with self._lock:
@@ -261,9 +217,6 @@ class MockServoNode(Node):
 
     def _on_torque(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         with self._lock:
-            if request.data and any(self._error):
-                response.message = "servo 2 reports overload: clear the cause, then call reboot_servos"
-                return response
             if request.data and not all(self._arm.torque_enabled):
                 self._goals.begin_at(tuple(self._arm.angles))
             self._arm.torque_enabled = [request.data] * 3
@@ -272,7 +225,9 @@ class MockServoNode(Node):
         return response
 
     def _on_reboot(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self.reboot()
+        with self._lock:
+            self._goals.hold(self._arm.angles)
+            self._arm.torque_enabled = [False] * 3
         response.success = True
         response.message = "three servos rebooted; torque is off"
         return response

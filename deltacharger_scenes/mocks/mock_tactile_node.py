@@ -4,19 +4,12 @@
 Subscribes: servo_state (for the end effector's position and force). Publishes: tactile_frame, charger_power,
 battery, target_battery.
 Serves: tare, set_contactor, probe, with the real node's lease rules (by its code).
-Frames come from deltacharger_tactile's contact model, so that misalignment_node works with them.
-Parameters: rate, pose of the target (its plane as mock_servo_node's), and `fault`, which may be changed at
-runtime:
+Frames come from deltacharger_sim's pads, so that misalignment_node works with them.
+Parameters: pose of the target in the plane z = DOCK_DISTANCE, and `fault`, which may be changed at runtime:
 
 silence             tactile_frame stops
-zero_frames         all taxels read 0, as without contact
-unsure              the ridges are rolled upright, a case absent from training
-power_silence       charger_power stops, and both batteries become unknown
-tare_refusal        the tare is refused
-short, open_circuit, reverse_polarity    result of the probe
+short               the probe finds a short
 contactor_refusal   a close is refused
-no_charge_current   the contactor closes and nothing flows
-contactor_welded    the contactor does not open
 """
 
 from __future__ import annotations
@@ -38,6 +31,8 @@ from deltacharger_core.frames import END_EFFECTOR, FrameParameters
 from deltacharger_core.machine import (
     COLUMNS,
     CONTACT_FORCE,
+    DOCK_DISTANCE,
+    FRAME_RATE,
     GRAVITY,
     PADS,
     ROWS,
@@ -46,7 +41,7 @@ from deltacharger_core.machine import (
     port_of,
 )
 from deltacharger_driver.board.contactor import ContactorLease, LeaseRefused
-from deltacharger_driver.board.protocol import BoardFault, Power, PowerSample, TactileSample, clearing
+from deltacharger_driver.board.protocol import Power, PowerSample, TactileSample
 from deltacharger_driver.board.tactile_node_io import BATTERY_PERIOD, BatteryPublishers, SamplePublishers, limits_of
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import node_support, qos
@@ -55,8 +50,8 @@ from deltacharger_ros.messages import seconds, unknown
 from deltacharger_ros.on_demand import LatestMessage
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import SERVICE
-from deltacharger_scenes.mocks.fault_switch import FaultSwitch
-from deltacharger_scenes.mocks.parameters import POWER_FAULTS, TACTILE_FAULTS, MockTactileNodeParameters
+from deltacharger_scenes.mocks.fault_switch import fault_switch
+from deltacharger_scenes.mocks.parameters import TACTILE_FAULTS, MockTactileNodeParameters
 from deltacharger_sim.pads import ContactSource, contact_force
 from deltacharger_tactile.parameters import TactileParameters
 
@@ -64,7 +59,6 @@ BATTERY = 26.0  # V, within machine.BATTERY_MIN and BATTERY_MAX
 TARGET = 23.5  # V, of a live port
 CHARGE_CURRENT = 5.0  # A once ramped up, or less if the limits allow less
 _RISE = 0.1  # s, time constant of the ramp
-_GRACE = 0.5  # s after a close until missing current is a fault
 
 
 class MockPower:
@@ -74,36 +68,24 @@ class MockPower:
         lease: on the contactor, by the driver's own code.
         closed: whether the contactor is closed.
         current: A into the target.
-        current_max: A, the limit of the lease.
-        fault: code of ChargerPower, latched until the next opening command, a weld until it is cleared.
-        misbehaviour: "" or one of short, open_circuit, reverse_polarity, no_charge_current, contactor_refusal,
-            contactor_welded.
     """
 
     def __init__(self) -> None:
         self.lease = ContactorLease()
         self.closed = False
         self.current = 0.0
-        self.current_max = 0.0
-        self.fault = 0
-        self.misbehaviour = ""
-        self._closed_at = 0.0
-        self._last: float | None = None
+        self._current_max = 0.0
+        self._last = math.inf
 
     def advance(self, now: float, contact: bool) -> None:
         """Advance to `now` (s), with or without contact between the electrodes."""
-        step = 0.0 if self._last is None else max(now - self._last, 0.0)
-        self._last = now
+        step, self._last = max(now - self._last, 0.0), now
         if self.lease.has_lapsed(now):
-            self._open()
-        flows = self.closed and contact and self.misbehaviour != "no_charge_current"
-        aim = min(CHARGE_CURRENT, self.current_max) if flows else 0.0
-        self.current = aim + (self.current - aim) * math.exp(-step / _RISE) if flows else 0.0
-        if self.closed and not flows and now - self._closed_at > _GRACE and self.misbehaviour != "contactor_welded":
-            self.fault = self.fault or BoardFault.NO_CHARGE_CURRENT
-            self._open()
+            self.open()
+        aim = min(CHARGE_CURRENT, self._current_max)
+        self.current = aim + (self.current - aim) * math.exp(-step / _RISE) if self.closed and contact else 0.0
 
-    def probe(self, now: float, contact: bool) -> tuple[float, float]:
+    def probe(self, now: float, contact: bool, short: bool = False) -> tuple[float, float]:
         """Look at the port, as `port_of` takes it; the result allows a close for 2 s.
 
         Raises:
@@ -111,11 +93,9 @@ class MockPower:
         """
         if self.closed:
             raise LeaseRefused("the contactor is closed: open it before probing")
-        found = {"short": (0.05, 0.0), "open_circuit": (math.inf, 0.0), "reverse_polarity": (math.nan, -TARGET)}
-        live = (math.nan, TARGET)
-        resistance, voltage = found.get(self.misbehaviour, live) if contact else found["open_circuit"]
-        self.lease.probed(resistance, voltage, now)
-        return resistance, voltage
+        found = (math.inf, 0.0) if not contact else (0.05, 0.0) if short else (math.nan, TARGET)
+        self.lease.probed(*found, now)
+        return found
 
     def close(
         self, holder: str, duration: float, now: float, token: str = "", limits: ChargeLimits | None = None
@@ -123,40 +103,16 @@ class MockPower:
         """Close, or renew with another current or the same (0).
 
         Raises:
-            LeaseRefused: by the lease, a latched fault, or the mock's misbehaviour.
+            LeaseRefused: by the lease.
         """
-        if self.misbehaviour == "contactor_refusal":
-            raise LeaseRefused("the board's interlock keeps the contactor open")
-        if self.fault:
-            raise LeaseRefused(f"fault {self.fault} is latched; {clearing(self.fault)}")
         self.lease.take(holder, duration, now, token, limits)
-        self.current_max = (0.0 if limits is None else limits.current) or self.current_max
-        if not self.closed:
-            self.closed, self._closed_at = True, now
+        self._current_max = (0.0 if limits is None else limits.current) or self._current_max
+        self.closed = True
 
     def open(self) -> None:
-        """Open by command, which also clears a latched fault, but no weld."""
-        if self.fault != BoardFault.CONTACTOR_WELDED:
-            self.fault = 0
-        self._open()
-
-    def clear_weld(self) -> None:
-        """Clear a latched weld.
-
-        Raises:
-            LeaseRefused: the contactor is still closed.
-        """
-        if self.closed:
-            raise LeaseRefused("the weld stays latched: the contactor reports closed")
-        self.fault = 0
-
-    def _open(self) -> None:
+        """Open the contactor."""
         self.lease.opened()
-        if self.misbehaviour == "contactor_welded" and self.closed:
-            self.fault = BoardFault.CONTACTOR_WELDED
-            return
-        self.closed = False
-        self.current = 0.0
+        self.closed, self.current = False, 0.0
 
 
 _TARE_FRAMES = 20
@@ -171,8 +127,8 @@ class MockTactileNode(Node):
         super().__init__("tactile_node", **kwargs)
         given, frames = declare_all(self, MockTactileNodeParameters), declare_all(self, FrameParameters)
         reject_unknown(self)
-        self._given, self._rate = given, given.rate
-        self._fault = FaultSwitch(self, TACTILE_FAULTS, given.fault_delay)
+        self._given = given
+        self._fault = fault_switch(self, TACTILE_FAULTS)
         self._lock = threading.Lock()
         self._model = TactileParameters()
         self._source = ContactSource(self._model, 0, 0)
@@ -222,7 +178,7 @@ class MockTactileNode(Node):
             return self._power.closed
 
     def _run(self) -> None:
-        period = 1.0 / self._rate
+        period = 1.0 / FRAME_RATE
         due = next_power = time.monotonic()
         while not self._stop.wait(max(due - time.monotonic(), 0.0)):
             now = time.monotonic()
@@ -230,32 +186,27 @@ class MockTactileNode(Node):
             if (servos := self._servos.take()) is not None:
                 self._feel(servos)
             with self._lock:
-                fault = self._fault.active()
-                self._power.misbehaviour = fault if fault in POWER_FAULTS else ""
-                before = self._power.fault
                 self._power.advance(now, self._touching())
-                frame = self._sample(now, fault)
-                new_fault = self._power.fault != before  # published before an opening can clear it
-                power = self._power_sample(now) if new_fault or now >= next_power else None
+                frame = self._sample(now)
+                power = self._power_sample(now) if now >= next_power else None
             if power is not None:
                 next_power = max(next_power + 1.0 / _POWER_RATE, now)
             if self.context.ok():
-                if fault != "silence":
+                if self._fault() != "silence":
                     self._samples.frame(frame)
-                if power is not None and fault != "power_silence":
+                if power is not None:
                     self._samples.power(*power)
             due = max(due + period, now - period)
 
     def _publish_batteries(self) -> None:
-        silent = self._fault.active() == "power_silence"
         with self._lock:
             sample, *_ = self._power_sample(time.monotonic())
-        self._batteries.publish(None if silent else sample)
+        self._batteries.publish(sample)
 
     def _touching(self) -> bool:
-        return self._position[2] > self._given.target_z
+        return self._position[2] > DOCK_DISTANCE
 
-    def _sample(self, now: float, fault: str) -> TactileSample:
+    def _sample(self, now: float) -> TactileSample:
         """Read the pads as the board would: raw, minus tare, clipped at 0."""
         pose = None
         force = 0.0
@@ -271,10 +222,6 @@ class MockTactileNode(Node):
         raw = np.stack(self._source.sample(now, pose, force))
         self._recent = [*self._recent[1 - _TARE_FRAMES :], raw]
         taxels = raw if self._tare is None else np.maximum(raw - self._tare, 0.0)
-        if fault == "zero_frames":
-            taxels = np.zeros_like(taxels)
-        elif fault == "unsure":
-            taxels = np.swapaxes(taxels, 1, 2)
         self._newest = taxels
         self._sequence += 1
         pads = taxels.astype(np.float32)
@@ -285,7 +232,7 @@ class MockTactileNode(Node):
         """Return the power stage's state, ohm and age (s) of the last probe, and the stage as in `Hello`."""
         stage = self._power
         voltage = TARGET if self._touching() else math.nan
-        power = Power(BATTERY, voltage, stage.current, stage.closed, stage.fault, stage.current)
+        power = Power(BATTERY, voltage, stage.current, stage.closed, 0, stage.current)
         return PowerSample(now, power), stage.lease.resistance, stage.lease.probe_age(now), (True, math.nan)
 
     def _feel(self, message: ServoState) -> None:
@@ -304,7 +251,7 @@ class MockTactileNode(Node):
     def _on_tare(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self._lock:
             pressed = self._tare is not None and bool(np.nanmax(self._newest) >= CONTACT_FORCE)
-            if self._fault.active() == "tare_refusal" or pressed or self._touching():
+            if pressed or self._touching():
                 response.message = "the pads are in contact: lift the end effector before taring"
                 return response
             if not self._recent:
@@ -319,7 +266,7 @@ class MockTactileNode(Node):
         unknown(response)
         with self._lock:
             try:
-                resistance, voltage = self._power.probe(time.monotonic(), self._touching())
+                resistance, voltage = self._power.probe(time.monotonic(), self._touching(), self._fault() == "short")
             except LeaseRefused as refusal:
                 response.message = str(refusal)
                 return response
@@ -331,14 +278,12 @@ class MockTactileNode(Node):
     def _on_contactor(self, request: SetContactor.Request, response: SetContactor.Response) -> SetContactor.Response:
         with self._lock:
             if request.close:
-                response.message = self._contact_problem()
+                response.message = self._close_problem()
                 if response.message:
                     return response
             try:
                 if not request.close:
                     self._power.open()
-                    if request.clear_weld:
-                        self._power.clear_weld()
                     response.success, response.message = True, "open"
                     return response
                 lease, now = seconds(request.lease), time.monotonic()
@@ -349,10 +294,12 @@ class MockTactileNode(Node):
         response.success, response.message = True, "closed"
         return response
 
-    def _contact_problem(self) -> str:
-        """Return why touch forbids a close, as tactile_node does; '' if it does not."""
-        if self._fault.active() == "silence":
+    def _close_problem(self) -> str:
+        """Return why touch or the fault forbids a close; '' if nothing does."""
+        if self._fault() == "silence":
             return "tactile frames are stale; the contactor stays open"
+        if self._fault() == "contactor_refusal":
+            return "the board's interlock keeps the contactor open"
         if not np.nanmax(self._newest) >= CONTACT_FORCE:
             return "no tactile contact; the contactor stays open"
         return ""

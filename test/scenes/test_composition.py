@@ -32,11 +32,11 @@ def test_a_node_that_rejects_its_parameters_ends_the_running_ones(context: Any, 
 
 
 def test_nodes_have_their_namespace_and_parameters(context: Any, namespace: str) -> None:
-    values = {"parameters": {"mock_servo_node": {"rate": 50.0}}, "nodes": ["mock_servo_node"]}
+    values = {"parameters": {"mock_detector_node": {"x": 0.5}}, "nodes": ["mock_detector_node"]}
     with Composition(parse_scene(values, "x"), context, namespace) as composition:
-        node = composition.node("mock_servo_node")
+        node = composition.node("mock_detector_node")
         assert node.get_namespace() == f"/{namespace}"
-        assert node.get_parameter("rate").value == 50.0
+        assert node.get_parameter("x").value == 0.5
         assert composition.failed() == []
         with pytest.raises(KeyError, match="docking_node is not running"):
             composition.node("docking_node")

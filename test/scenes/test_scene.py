@@ -288,11 +288,11 @@ def test_a_profile_that_is_incomplete_or_contradicts_itself_is_refused_with_its_
 
 @pytest.mark.ros
 def test_check_and_nodes_accept_whole_numbers_for_floats(context: Any, namespace: str) -> None:
-    given = {"mock_servo_node": {"rate": 50}, "kinematics_node": {"gravity": [0, -9.81, 0], "torque_constant": 1}}
+    given = {"mock_detector_node": {"x": 1}, "kinematics_node": {"gravity": [0, -9.81, 0], "torque_constant": 1}}
     scene = parse_scene({"nodes": [*given], "parameters": given}, "mine")
     assert not list(problems(scene))
     with Composition(scene, context, namespace) as composition:
-        assert composition.node("mock_servo_node").get_parameter("rate").value == 50.0
+        assert composition.node("mock_detector_node").get_parameter("x").value == 1.0
         assert list(composition.node("kinematics_node").get_parameter("gravity").value) == [0.0, -9.81, 0.0]
 
 
