@@ -100,10 +100,8 @@ def test_the_file_for_real_hardware_is_a_scene() -> None:
     assert not list(problems(scene))
 
 
-def test_the_examples_are_short_checked_and_named_in_the_table() -> None:
+def test_the_examples_are_checked_and_named_in_the_table() -> None:
     files = {path.name for path in EXAMPLES.glob("*.*")} - {"README.md"}
     assert files == set(RUNS) | set(ELSEWHERE), "add the new one to RUNS, or to ELSEWHERE"
     table = (EXAMPLES / "README.md").read_text(encoding="utf-8")
     assert all(f"[{name}]({name})" in table for name in files)
-    for name in files:
-        assert len((EXAMPLES / name).read_text(encoding="utf-8").splitlines()) < 65, name

@@ -76,14 +76,6 @@ def test_libraries_do_not_import_ros() -> None:
             assert not ros, f"{module} is a library and may not import {sorted(ros)}"
 
 
-def test_no_package_below_scenes_imports_the_node_of_another() -> None:
-    for module, names in imports().items():
-        if package_of(module) not in ("scenes", "bringup"):  # which start nodes, or read what they declare
-            nodes = {name for name in names if name in texts() and name.endswith(("_node", "_node_io"))}
-            foreign = {name for name in nodes if package_of(name) != package_of(module)}
-            assert not foreign, f"{module}: move the shared part of {sorted(foreign)} to its package's ros/"
-
-
 def test_no_two_files_import_each_other() -> None:
     arrows = {(module, name) for module, names in imports().items() for name in names & texts().keys()}
     assert len(arrows) > 1000

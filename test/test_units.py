@@ -24,7 +24,6 @@ from deltacharger_mission.parameters import MissionParameters
 from deltacharger_mission.ros import others as mission
 from deltacharger_scenes.scene import parse_scene
 from deltacharger_vision.mount import Mount
-from deltacharger_vision.parameters import DetectorNodeParameters
 
 pytestmark = pytest.mark.ros
 
@@ -53,13 +52,8 @@ WAYS: dict[str, tuple[str, Callable[[], Any]]] = {
     "a length of docking": ("millimetres", lambda: DockingParameters(standoff=18.0)),
     "a speed of docking": ("mm/s", lambda: DockingParameters(travel_speed=120.0)),
     "an angle of docking": ("degrees", lambda: DockingParameters(critical_angle=12.0)),
-    "the charger's mount, docking": ("millimetres", lambda: DockingNodeParameters(base_pose=MOUNT)),
-    "the charger's mount, missions": ("millimetres", lambda: MissionParameters(base_pose=MOUNT)),
-    "the camera's mount, detector": ("millimetres", lambda: DetectorNodeParameters(mount=MOUNT)),
-    "the camera's mount, file": ("millimetres", lambda: Mount.from_numbers(MOUNT)),
-    "the robot's home": ("millimetres", lambda: MissionParameters(home_x=25_000.0)),
-    "its heading": ("degrees", lambda: MissionParameters(home_yaw=90.0)),
-    "electrodes on the other robot": ("millimetres", lambda: MissionParameters(electrodes_x=400.0)),
+    "the charger's mount": ("millimetres", lambda: DockingNodeParameters(base_pose=MOUNT)),
+    "the camera's mount": ("millimetres", lambda: Mount.from_numbers(MOUNT)),
     "a Dock goal": ("millimetres", lambda: dock((0.0, 0.0, 80.0))),
     "its critical angle": ("degrees", lambda: dock(critical_angle=12.0)),
     "a ChargeRobot goal": ("millimetres", lambda: charge(25_000.0)),
