@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Options of the suite: real devices for the driver's contract tests, the host's deadlines, each test's time."""
+"""Options of the suite: real devices for the driver's contract tests, the host's deadlines."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import argparse
 import pytest
 from hypothesis import settings
 
-from .budget import Budget
 from .chargers import context, deltacharger, namespace, quick_file, quick_scene, spin, start  # noqa: F401
 from .waiting import widen
 
@@ -55,9 +54,6 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         metavar="FACTOR",
         help="widen the deadlines that this computer must keep, for tests beside other work; 1 = strict",
     )
-    group.addoption(
-        "--times", action="store_true", help="list what every test spent, not only tests above their budget"
-    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -66,4 +62,3 @@ def pytest_configure(config: pytest.Config) -> None:
         if named.count(device) > 1:
             raise pytest.UsageError(f"--port {device}=PATH is given {named.count(device)} times; give it once")
     widen(config.getoption("--host-deadlines"))
-    config.pluginmanager.register(Budget(), "deltacharger-budget")
