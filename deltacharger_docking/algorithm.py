@@ -33,6 +33,9 @@ from deltacharger_docking.watch import FIRST_DATA_TIMEOUT
 
 _ROLL_SIGMAS = 2.0  # standard deviations between a detected roll and critical_angle; the seeds were not kept
 _IMAGE_RANGE_MAX = 0.4  # m, largest range of a camera detection without depth
+_DETECTION_AGE_MAX = 1.0  # s
+# From leaning contacts of the world and of the pose model at up to 5°, then seed 5.
+_LEAN_MAX = math.radians(5.0)  # yaw or pitch of the electrodes' faces above which docking refuses
 _LOCATE_TIMEOUT = 10.0  # s, limit for LOCATE
 
 _ANSWER = 1.0  # s beyond _LOCATE_TIMEOUT, so that the phase ends with the detector's answer
@@ -110,8 +113,8 @@ def locate(context: Context) -> Script[ElectrodePose]:
     found = reply.detection
     if not reply.success or found is None:
         raise ElectrodesNotFound(f"no electrodes were found: {reply.message}")
-    if not found.age <= parameters.detection_age_max:
-        raise DetectionStale(f"the detection is {found.age:.1f} s old, more than {parameters.detection_age_max:.1f} s")
+    if not found.age <= _DETECTION_AGE_MAX:
+        raise DetectionStale(f"the detection is {found.age:.1f} s old, more than {_DETECTION_AGE_MAX:.1f} s")
     if not found.image_range <= _IMAGE_RANGE_MAX:
         raise ElectrodesNotFound(
             f"the electrodes are {found.image_range:.2f} m from the camera and were measured without depth, which is "
@@ -145,17 +148,17 @@ def check_lean(context: Context, electrodes: ElectrodePose) -> None:
     Raises:
         Leaning: they do. It suggests another pose of the robot for a yaw only: no pose corrects a pitch.
     """
-    parameters, yaw, pitch = context.parameters, electrodes.yaw, electrodes.pitch
-    if _is_surely_beyond(context, "pitch", pitch, electrodes.pitch_stddev, parameters.pitch_max):
+    yaw, pitch = electrodes.yaw, electrodes.pitch
+    if _is_surely_beyond(context, "pitch", pitch, electrodes.pitch_stddev, _LEAN_MAX):
         raise Leaning(
             f"the electrodes' faces are pitched by {math.degrees(pitch):+.1f}° about x of charger_base, as given "
-            f"or seen, more than {math.degrees(parameters.pitch_max):.1f}°; level the target or the charger: check "
+            f"or seen, more than {math.degrees(_LEAN_MAX):.1f}°; level the target or the charger: check "
             "floor, tyres, suspension and load"
         )
-    if _is_surely_beyond(context, "yaw", yaw, electrodes.yaw_stddev, parameters.yaw_max):
+    if _is_surely_beyond(context, "yaw", yaw, electrodes.yaw_stddev, _LEAN_MAX):
         raise Leaning(
             f"the electrodes' faces are yawed by {math.degrees(yaw):+.1f}° about y of charger_base, as given or seen, "
-            f"more than {math.degrees(parameters.yaw_max):.1f}°; move the robot to suggested_base_pose, which is to "
+            f"more than {math.degrees(_LEAN_MAX):.1f}°; move the robot to suggested_base_pose, which is to "
             f"{in_words(yaw)}",
             electrodes.position,
             yaw,
@@ -197,8 +200,8 @@ def prepare(context: Context) -> Script[None]:
 
 
 def _servos_silent(context: Context) -> bool:
-    return context.observation.servo_age > context.parameters.servo_age_max
+    return context.observation.servo_age > context.parameters.age_max
 
 
 def _pads_silent(context: Context) -> bool:
-    return context.observation.tactile_age > context.parameters.tactile_age_max
+    return context.observation.tactile_age > context.parameters.age_max

@@ -13,7 +13,7 @@ which changes y but not v.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from enum import Enum
 from typing import Any
 
@@ -33,7 +33,7 @@ class MisalignmentEstimate:
     """Estimated misalignment: pose of the target in end_effector with standard deviations (rad, m).
 
     `across` is the offset across the target's bars (m), forces are sums over each pad (N), yaw and pitch are leans of
-    the target's faces; NaN = unknown.
+    the target's faces; NaN = unknown. `source` is the message that it came in; None = none.
     """
 
     angle: float
@@ -53,6 +53,7 @@ class MisalignmentEstimate:
     yaw_stddev: float = math.nan
     pitch: float = math.nan
     pitch_stddev: float = math.nan
+    source: Any = field(default=None, compare=False, repr=False)
 
     @classmethod
     def of(cls, source: Any) -> MisalignmentEstimate:
@@ -76,11 +77,6 @@ class MisalignmentEstimate:
             spread = math.hypot(cosine * self.vertical_stddev, sine * self.horizontal_stddev)
             object.__setattr__(self, "across", cosine * self.vertical - sine * self.horizontal)
             object.__setattr__(self, "across_stddev", spread)
-
-    def is_of(self, other: MisalignmentEstimate) -> bool:
-        """Return whether both come from the same frames, by values that docking never changes."""
-        pairs = ((getattr(self, name), getattr(other, name)) for name in ("angle", "across", "left_force", "sure"))
-        return all(one == two or (one != one and two != two) for one, two in pairs)  # NaN equals NaN
 
     @property
     def stddevs(self) -> tuple[float, float, float]:

@@ -231,7 +231,7 @@ class Context:
 
     def _count(self, power: float, seconds: float) -> None:
         """Count the energy of the last `seconds` at this power (W); unknown after a pause without measurements."""
-        known = math.isfinite(power) and seconds <= self.parameters.power_age_max
+        known = math.isfinite(power) and seconds <= self.parameters.age_max
         self.energy += power * seconds if known else math.nan
         most = power if known else self.profile.current * self.profile.full_voltage if self.profile else 0.0
         self.energy_most += most * seconds
@@ -250,9 +250,9 @@ class Context:
         observation, parameters = self.observation, self.parameters
         if self.is_blind and self.status.state in _MOVES and math.isfinite(self.deadline):
             if observation.servo_age > PRESS_AGE_MAX:
-                name, missing = "servo_state", observation.servo_age > parameters.servo_age_max
+                name, missing = "servo_state", observation.servo_age > parameters.age_max
             else:
-                name, missing = "tactile_frame", observation.tactile_age > parameters.tactile_age_max
+                name, missing = "tactile_frame", observation.tactile_age > parameters.age_max
             if not missing or self.status.state is State.RETRACT:
                 self._held = f"{name} younger than {PRESS_AGE_MAX:g} s"
         if self._held or before:
@@ -377,7 +377,7 @@ class Context:
         reply = yield from self.ask(Service.TORQUE_ON, ServoFailure, SERVICE_TIMEOUT)
         if not reply.success:
             raise ServoFailure(f"the servos were not enabled: {reply.message}")
-        end = self.time + self.parameters.servo_age_max
+        end = self.time + self.parameters.age_max
         while not self.observation.torque_enabled:
             if self.time > end:
                 raise ServoFailure("servo_state does not show the torque that servo_node switched on; check servo_node")
@@ -584,7 +584,7 @@ class Context:
             yield from self.read()
             if self.time > settled or not abs(contact.drift) > max(_DRIFT_MAX, _SIGMAS * contact.currents_error):
                 break
-        end = self.time + parameters.servo_age_max
+        end = self.time + parameters.age_max
         while not math.isfinite(self.contact.value) or self.observation.servo_age > PRESS_AGE_MAX:
             if self.time > end:
                 raise ServoFailure("the servos' currents are not measured; check the servo bus and servo_node")

@@ -77,7 +77,7 @@ def check_battery(context: Context) -> None:
     Raises:
         DockingError: as `energise`.
     """
-    fresh = context.observation.power_age <= context.parameters.power_age_max
+    fresh = context.observation.power_age <= context.parameters.age_max
     if fresh and (unfit := battery_problem(context) or stage_problem(context)) is not None:
         raise unfit
 

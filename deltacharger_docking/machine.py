@@ -308,7 +308,7 @@ class DockingMachine:
             else:
                 yield from retract(context)
         except ContactorWelded as error:
-            seen_closed = is_closed(context) and context.observation.power_age <= self.parameters.power_age_max
+            seen_closed = is_closed(context) and context.observation.power_age <= self.parameters.age_max
             if status.code is not Code.CONTACTOR_WELDED:
                 status.message = f"{status.message}; then {error}"
             context.hold()  # moving live electrodes off the target would draw an arc

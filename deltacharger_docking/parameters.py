@@ -26,7 +26,6 @@ POWERS = ("board", "none")
 _ORDERED = (
     ("battery_voltage_min", "battery_voltage_start"),
     ("battery_voltage_start", "battery_voltage_max"),
-    ("current_max", "hard_current"),
 )
 """Parameters of which the first must not lie above the second."""
 BAND_MARGIN = 0.015  # A, distance of an accepted reading from the band's lower end: statics, then seeds 5 and 19
@@ -63,17 +62,9 @@ class DockingParameters(Bounded):
     # As in the paper.
     current_min: float = tunable(0.4, 0.15, 2.0, "A", "lower end of the contact current's band")
     current_max: float = tunable(0.5, 0.05, 2.0, "A", "upper end of the contact current's band")
-    hard_current: float = number(1.0, 0.5, 4.0, "A", "contact current that ends docking, except in RETRACT")
     # The paper's critical angle, and below the electrodes that short at it.
     critical_angle: float = number(
         math.radians(12.0), 0.01, math.radians(12.05), "rad", "angle from which electrodes would short"
-    )
-    # From leaning contacts of the world and of the pose model at up to 5°, then seed 5.
-    yaw_max: float = number(
-        math.radians(5.0), 0.0, math.radians(15.0), "rad", "yaw of the electrodes' faces above which docking refuses"
-    )
-    pitch_max: float = number(
-        math.radians(5.0), 0.0, math.radians(15.0), "rad", "pitch of the electrodes' faces above which docking refuses"
     )
     electrode_half_gap: float = number(0.5 * BAR_GAP, 0.0005, 0.02, "m", "half the gap between the two bars")
     electrode_half_length: float = number(0.5 * BAR_LENGTH, 0.005, 0.1, "m", "half the length of a bar")
@@ -106,11 +97,10 @@ class DockingParameters(Bounded):
         "s",
         "longest rest on a target since the last goal; then charging ends and the arm goes home",
     )
-    servo_age_max: float = number(0.5, 0.05, 2.0, "s", "age of servo_state that ends docking")
+    age_max: float = number(
+        0.5, 0.1, 2.0, "s", "age of servo_state, tactile frames and charger_power that ends docking"
+    )
     live_servo_age_max: float = number(LONGEST_LEASE, 0.02, 0.5, "s", "age of servo_state that opens the contactor")
-    tactile_age_max: float = number(0.5, 0.05, 2.0, "s", "age of tactile frames that ends docking")
-    power_age_max: float = number(0.5, 0.1, 2.0, "s", "age of charger_power that ends charging")
-    detection_age_max: float = tunable(1.0, 0.1, 10.0, "s", "largest age of a camera detection")
     goal_timeout: float = tunable(300.0, 12.0, 3600.0, "s", "limit for a docking until it succeeds")
 
     def __post_init__(self) -> None:
@@ -126,13 +116,17 @@ class DockingParameters(Bounded):
     def of(cls, servo: ServoType) -> DockingParameters:
         """Return the defaults for a type of servo: contact currents are the same forces on every type."""
         least, most = contact_band(servo)
-        hard = cls.hard_current * most / cls.current_max
-        return cls(torque_constant=servo.torque_constant, current_min=least, current_max=most, hard_current=hard)
+        return cls(torque_constant=servo.torque_constant, current_min=least, current_max=most)
 
     @property
     def always_live(self) -> bool:
         """Whether electrodes are live whenever they touch, and charge current is not measured."""
         return self.power == "none"
+
+    @property
+    def hard_current(self) -> float:
+        """Contact current (A) that ends docking, except in RETRACT: twice the band's upper end."""
+        return 2.0 * self.current_max
 
     @property
     def home(self) -> Vector:
@@ -160,9 +154,6 @@ class DockingNodeParameters(Bounded):
     )
     base_frame: str = words("base_link", "the robot's frame for goals, in addition to charger_base")
     base_pose: tuple[float, ...] = pose((0.0, 0.0, 0.0, 0.5, 0.5, 0.5, 0.5), "charger_base in base_frame")
-    lean_max: float = number(
-        math.radians(30.0), 0.0, 0.5 * math.pi, "rad", "largest lean of a goal's electrodes from charger_base's z axis"
-    )
 
     @property
     def servo(self) -> ServoType:

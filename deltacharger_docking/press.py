@@ -83,7 +83,7 @@ def check_pads(context: Context) -> None:
         NoTactileContact: the servos push but the pads measure no force.
     """
     observation = context.observation
-    if observation.tactile_age > context.parameters.tactile_age_max:
+    if observation.tactile_age > context.parameters.age_max:
         raise TactileStale("tactile frames stopped during contact; check the board's cable and tactile_node")
     if not observation.tactile_contact:
         raise NoTactileContact(

@@ -229,10 +229,10 @@ def retract(context: Context, wanted: bool = False) -> Script[None]:
     if wanted:
         yield from context.answered()
     context.deadline = context.time + RETRACT_TIMEOUT
-    while PRESS_AGE_MAX < context.observation.servo_age <= parameters.servo_age_max:
+    while PRESS_AGE_MAX < context.observation.servo_age <= parameters.age_max:
         yield NEXT
     observation = context.observation
-    if observation.servo_age > parameters.servo_age_max or observation.hardware_error:
+    if observation.servo_age > parameters.age_max or observation.hardware_error:
         context.status.docked &= observation.tactile_contact  # the magnets still hold it
         yield from go_limp(context)
         return
@@ -264,7 +264,7 @@ def retract(context: Context, wanted: bool = False) -> Script[None]:
     if not reply.success:
         raise ServoFailure(f"the servos' torque was not switched off: {reply.message}")
     # Otherwise the next goal could read an old servo_state and send a trajectory to limp servos.
-    end = context.time + parameters.servo_age_max
+    end = context.time + parameters.age_max
     while context.observation.torque_enabled:
         if context.time > end:
             raise ServoFailure("servo_state still reports torque on; check servo_node, or cut the servos' power")

@@ -130,7 +130,7 @@ class Watches:
 
     def _servos_silent(self) -> DockingError | None:
         seen = self._context.observation
-        is_missing = self._is_missing(seen.servo_age, self._context.parameters.servo_age_max)
+        is_missing = self._is_missing(seen.servo_age, self._context.parameters.age_max)
         return seen.servo_silence() if is_missing else None
 
     def _hardware_error(self) -> DockingError | None:
@@ -178,7 +178,7 @@ class Watches:
 
     def _pads_silent(self) -> DockingError | None:
         context, age = self._context, self._context.observation.tactile_age
-        if not self._is_missing(age, context.parameters.tactile_age_max):
+        if not self._is_missing(age, context.parameters.age_max):
             return None
         if context.status.state in LIVE and context.closing is None:
             return None
@@ -245,7 +245,7 @@ class Watches:
             return None
         observation, parameters = context.observation, context.parameters
         refusal = observation.contactor_refusal
-        if observation.power_age > parameters.power_age_max:
+        if observation.power_age > parameters.age_max:
             return _power_silent()
         if refusal and not live.was_closed:
             return NoChargeCurrent(f"the contactor was not closed: {refusal}")
@@ -322,7 +322,7 @@ def is_closed(context: Context) -> bool:
 def welded(context: Context) -> ContactorWelded:
     """Return the error of a contactor that is closed, or may be, although it was ordered to open or never to close."""
     observation, parameters = context.observation, context.parameters
-    if observation.power_age > parameters.power_age_max:
+    if observation.power_age > parameters.age_max:
         return ContactorWelded(
             "charger_power is silent, so the contactor may still be closed; the arm stays on the target: check the "
             "board's cable and tactile_node, or switch the charger's battery off"
@@ -339,11 +339,11 @@ def welded(context: Context) -> ContactorWelded:
 def reason_not_to_close(context: Context) -> DockingError | None:
     """Return why the contactor must not close now."""
     observation, parameters = context.observation, context.parameters
-    if observation.power_age > parameters.power_age_max:
+    if observation.power_age > parameters.age_max:
         return _power_silent()
     if (unfit := battery_problem(context) or stage_problem(context)) is not None:
         return unfit
-    if observation.tactile_age > parameters.tactile_age_max:
+    if observation.tactile_age > parameters.age_max:
         return TactileStale("tactile frames stopped; check the board's cable and tactile_node")
     if not observation.tactile_contact:
         return NoTactileContact("the pads lost contact before the contactor was closed")

@@ -25,11 +25,8 @@ PATIENT_MARGIN = min(host(REPLY_MARGIN), 0.05)
 """Of servo_node; with a longer one, lost replies cost too much time."""
 PATIENT: dict[str, dict[str, Any]] = {
     "docking_node": {
-        "servo_age_max": 1.0,
+        "age_max": 1.0,
         "live_servo_age_max": min(host(0.2), 0.5),  # the default at night: the contactor opens in time
-        "tactile_age_max": 1.0,
-        "power_age_max": 1.0,
-        "detection_age_max": 10.0,
     },
     "servo_node": {"reply_margin": PATIENT_MARGIN},
     "misalignment_node": {"max_age": 1.0, "timeout": 2.5},

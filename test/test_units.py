@@ -19,7 +19,7 @@ from deltacharger_docking.codes import DockingError
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import DockGoal, ElectrodePose, Observation
 from deltacharger_docking.parameters import DockingNodeParameters, DockingParameters
-from deltacharger_docking.ros.inputs import MessageRefused, _in_order
+from deltacharger_docking.ros.inputs import MessageRefused, _three_servos
 from deltacharger_mission.parameters import MissionParameters
 from deltacharger_mission.ros import others as mission
 from deltacharger_scenes.scene import parse_scene
@@ -62,7 +62,7 @@ WAYS: dict[str, tuple[str, Callable[[], Any]]] = {
     "an estimated offset": ("millimetres", lambda: estimate(vertical=5.0)),
     "a servo's position": (
         "degrees",
-        lambda: _in_order(
+        lambda: _three_servos(
             ServoState(
                 name=list(JOINTS),
                 position=[math.nan, 4.0, -57.0],
@@ -70,6 +70,8 @@ WAYS: dict[str, tuple[str, Callable[[], Any]]] = {
                 hardware_error=[0] * 3,
                 torque_enabled=[True] * 3,
                 valid=[True] * 3,
+                thermal_reserve=[60.0] * 3,
+                stray=[0] * 3,
             )
         ),
     ),

@@ -14,45 +14,63 @@ import math
 import secrets
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
+from deltacharger.action import Dock, Undock
 from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory
 
 from deltacharger_core import runtime
 from deltacharger_core.environment import package_version
 from deltacharger_core.frames import END_EFFECTOR, TransformParameters
-from deltacharger_docking.codes import Canceled, Code, State
+from deltacharger_core.texts import titled
+from deltacharger_docking.codes import Busy, Canceled, Code, DockingError, NoTime, State
+from deltacharger_docking.goals import suggested_base
 from deltacharger_docking.machine import DockingMachine
-from deltacharger_docking.observation import Command, DockingOutcome, Observation, Request, Service
+from deltacharger_docking.observation import Command, DockGoal, DockingOutcome, Observation, Request, Service
 from deltacharger_docking.parameters import DockingNodeParameters, DockingParameters, ProfileNames, TargetProfile
 from deltacharger_docking.ros import messages as io
-from deltacharger_docking.ros.goals import Goals
 from deltacharger_docking.ros.inputs import Inputs
-from deltacharger_docking.ros.reports import Reports
+from deltacharger_docking.ros.reports import Reports, changes
 from deltacharger_docking.ros.services import Services
 from deltacharger_kinematics.geometry import DeltaGeometry, load_geometry
 from deltacharger_kinematics.parameters import GeometryFileParameters
 from deltacharger_ros import node_support, qos
-from deltacharger_ros.clock import before_now
-from deltacharger_ros.frames import Frames
+from deltacharger_ros.action_server import GoalHandle, Work, WorkServer
+from deltacharger_ros.clock import NO_TIME_YET, ClockWatch, before_now
+from deltacharger_ros.frames import Frames, TransformError
 from deltacharger_ros.log import Log
+from deltacharger_ros.messages import duration, seconds, to_result
+from deltacharger_ros.outcomes import place
 from deltacharger_ros.parameters import declare_all, declare_file, declare_with_servos, reject_unknown
 from deltacharger_ros.tuning import Tuning
 
 _SERVOS_FOLLOW = {"servo_stiffness": "stiffness", "torque_constant": "torque_constant"}  # names in servos_file
 _TICK = 0.02  # s; period without servo_state
-_LOOK, _LOOK_AT_REST = 0.5, 1.0  # s between checks for second sources; each check takes 0.1 ms
 _OPEN_TIMEOUT = 0.6  # s for the contactor to open when the node closes
 _TORQUE_DELAY = 0.5  # s from opening after a defect to torque off
 _LAST_REQUEST = -1  # number of the final request to switch the torque off
 _SHUTTING_DOWN = "the charger is shutting down"
 _TORQUE_TIMEOUT = 1.0  # s for the torque to go off; servo_node takes 0.3 s at most
+_ANSWER = 1.0  # s to see a goal's callback end when the node closes
+_FEEDBACK = 0.2  # s between feedbacks without a change
+
+
+class ServedGoal(Work):
+    """A goal being served: its handle, its action, and the state last reported to its client."""
+
+    def __init__(self, handle: GoalHandle, action: Any) -> None:
+        super().__init__(handle)
+        self.handle, self.action = handle, action
+        self.state = State.IDLE
 
 
 class DockingNode(Node):
     """Serves dock and undock; topics and services in the module docstring, parameters in docs/parameters.md.
+
+    The machine serves one goal at a time; `_lock` protects it.
 
     Args:
         held: command and publish nothing, and queue goals, until `release`.
@@ -74,29 +92,30 @@ class DockingNode(Node):
         self._machine = DockingMachine(self._settings, geometry, profiles=profiles)
         self._lock = threading.RLock()
         self._log = Log(self)
+        self._clock_watch = ClockWatch(self.get_clock())
         self._stopping = threading.Event()
         self._torque_off_at = math.inf
         self._slowest_tick = 0.0
+        self._goal: ServedGoal | None = None
+        self._ended: GoalHandle | None = None  # of the goal that ended last
+        self._waiting: list[GoalHandle] | None = []  # goals that arrived before `release`
         self._inputs = Inputs(self, self._log)
         self._calls = Services(
             self, lambda detection: io.in_charger_base(detection, frames), transforms.named(END_EFFECTOR)
         )
         self._secret = secrets.token_hex(16)  # shows servo_node that this process sends the trajectories
         self._trajectory = self.create_publisher(JointTrajectory, "joint_trajectory", qos.LATEST)
-        ages_max = (self._settings.servo_age_max, self._settings.tactile_age_max, self._settings.power_age_max)
-        self._reports = Reports(self, self._log, ages_max, frames.charger_base)
-        observe = self._inputs.observation  # leaves the replies for the running goal
-        self._goals = Goals(
-            self,
-            self._machine,
-            self._lock,
-            observe,
-            self._begun,
-            self._defect,
-            self._calls.misalignment,
-            robot,
-            frames,
-        )
+        self._reports = Reports(self, self._log, self._settings.age_max, frames.charger_base)
+        self._servers = [
+            self._serve(Dock, "dock", self._dock_goal, self._machine.start_dock, self._dock_result),
+            self._serve(
+                Undock,
+                "undock",
+                lambda request: str(request.request_id),
+                self._machine.start_undock,
+                lambda outcome: to_result(Undock, outcome),
+            ),
+        ]
         Tuning(self, self._settings, self._tune)
         self._thread = threading.Thread(target=self._loop, name="docking loop", daemon=True)
         if not held:
@@ -108,13 +127,16 @@ class DockingNode(Node):
             return self._machine.tune(settings)
 
     def release(self) -> None:
-        """Start, and begin the queued goals."""
+        """Start, and begin the queued goals in their order."""
         self._closed = False
         live = "power none: electrodes are live whenever they touch"
         power = live if self._settings.always_live else f"profiles of targets: {self._targets}"
         self._log.info(f"takes goals, {power}, version {package_version()}")
         self._thread.start()
-        self._goals.release()
+        with self._lock:
+            waiting, self._waiting = self._waiting, None
+        for handle in waiting or ():
+            handle.execute()
 
     def close(self) -> None:
         """Open the contactor, wait until it is open, stop the servos, end the goal and the loop. Safe to call twice.
@@ -124,7 +146,6 @@ class DockingNode(Node):
         if self._closed:
             return
         self._closed = True
-        self._goals.refuse(f"{_SHUTTING_DOWN}; send the goal again when it is back")
         self._frames.close()
         self._stopping.set()
         self._thread.join(2.0)
@@ -151,7 +172,10 @@ class DockingNode(Node):
         self._reports.show(self._machine.status, force=True)
         self._reports.log(self._machine.status, (), self._observe())
         unknown = DockingOutcome(code=why.code, message=_SHUTTING_DOWN, retriable=True, energy=math.nan)
-        self._goals.close(self._machine.outcome or unknown)
+        goal = self._goal
+        self._end(self._machine.outcome or unknown)
+        if goal is not None:
+            goal.wait_until_answered(_ANSWER)
 
     def _count(self) -> Observation:
         """Keep the contactor open, and let the machine count what still flows; return the observation."""
@@ -177,9 +201,11 @@ class DockingNode(Node):
     def destroy_node(self) -> None:
         """Close, then destroy the ROS side."""
         self.close()
-        if hasattr(self, "_goals"):
-            self._goals.destroy()
+        for server in getattr(self, "_servers", ()):  # missing if a parameter was refused
+            server.destroy()
         super().destroy_node()
+
+    # The loop.
 
     def _observe(self) -> Observation:
         return self._inputs.observation(*self._calls.take())
@@ -191,9 +217,10 @@ class DockingNode(Node):
                 self._pace()
                 started = time.monotonic()
                 with self._lock:
-                    self._inputs.look(self._between_looks())
+                    self._inputs.look()
                     observation = self._observe()
-                    self._goals.forward_cancel()
+                    if self._goal is not None and self._goal.handle.is_cancel_requested:
+                        self._machine.cancel()
                     command = self._machine.step(observation)
                     self._carry_out(command, observation)
                     self._report(command, observation)
@@ -210,13 +237,6 @@ class DockingNode(Node):
         else:
             self._inputs.wait(_TICK)
 
-    def _between_looks(self) -> float:
-        """Return the pause (s) between checks for second sources: long at rest, none in ENERGISE."""
-        status = self._machine.status
-        if status.state is State.ENERGISE:
-            return 0.0
-        return _LOOK_AT_REST if status.state is State.IDLE and not status.docked else _LOOK
-
     def _switch_off_when_due(self, observation: Observation) -> None:
         """After a defect, switch the torque off as soon as the contactor is open, never before."""
         if time.monotonic() >= self._torque_off_at and not self._is_live(observation):
@@ -224,7 +244,7 @@ class DockingNode(Node):
             self._calls.call(Request(0, Service.TORQUE_OFF))
 
     def _is_live(self, observation: Observation) -> bool:
-        return observation.contactor_closed and observation.power_age <= self._settings.power_age_max
+        return observation.contactor_closed and observation.power_age <= self._settings.age_max
 
     def _defect(self, error: Exception) -> None:
         """Make everything safe and end the goal after an internal error."""
@@ -241,7 +261,7 @@ class DockingNode(Node):
             self._calls.forget()
             words = f"internal error: {error}; see the log"
             lasted = self._machine.status.elapsed
-            self._goals.end(DockingOutcome(code=Code.INTERNAL, message=words, elapsed=lasted, energy=math.nan))
+            self._end(DockingOutcome(code=Code.INTERNAL, message=words, elapsed=lasted, energy=math.nan))
 
     def _carry_out(self, command: Command, observation: Observation) -> None:
         self._calls.contactor(command.energise, observation.contactor_closed, command.limits)
@@ -258,24 +278,167 @@ class DockingNode(Node):
         self._reports.decided(command.decisions, status.request_id)
         self._reports.show(status, command.states)
         self._reports.log(status, command.states, observation)
-        self._goals.feed_back(command.states, observation.charge_current)
+        self._feed_back(command.states, observation.charge_current)
         self._hand_over()
-        if self._reports.diagnose(status, observation, self._slowest_tick, self._inputs.refused):
+        if self._reports.diagnose(status, observation, self._slowest_tick, self._inputs.heard):
             self._slowest_tick = 0.0
-
-    def _begun(self, title: str, order: str) -> None:
-        """Report a goal that has just begun; it may already have ended."""
-        self._torque_off_at = math.inf
-        self._reports.begin(title, order)
-        self._reports.show(self._machine.status)
-        self._hand_over()
 
     def _hand_over(self) -> None:
         outcome, self._machine.outcome = self._machine.outcome, None
         if outcome is not None:
             if not outcome.success:
                 self._calls.forget()
-            self._goals.end(outcome)
+            self._end(outcome)
+
+    # Goals.
+
+    def _serve(
+        self,
+        action: Any,
+        name: str,
+        read: Callable[[Any], Any],
+        start: Callable[[Any, Observation], None],
+        result: Callable[[DockingOutcome], Any],
+    ) -> WorkServer:
+        """Serve an action: `read` turns a request into what the machine's `start` takes."""
+        return WorkServer(
+            self,
+            action,
+            name,
+            lambda handle: self._begin(ServedGoal(handle, action), name, read, start),
+            lambda goal: goal is self._goal,
+            lambda error: replace(DockingOutcome.refused(error), suggested_base=suggested_base(error)),
+            DockingError,
+            lambda outcome, goal: result(outcome),
+            # An accepted cancel means that the arm will retract, so an ended goal accepts none.
+            lambda handle: bool(handle.is_active) and handle is not self._ended,
+            self._on_accepted,
+        )
+
+    def _on_accepted(self, handle: GoalHandle) -> None:
+        with self._lock:
+            if self._waiting is not None:
+                self._waiting.append(handle)
+                return
+        handle.execute()
+
+    def _begin(
+        self, goal: ServedGoal, name: str, read: Callable[[Any], Any], start: Callable[[Any, Observation], None]
+    ) -> ServedGoal:
+        """Begin a goal; it may end at once.
+
+        Raises:
+            DockingError: it is refused.
+        """
+        request = goal.handle.request
+        with self._lock:
+            if self._clock_watch.has_no_time and not self._machine.status.docked:  # a docked charger can always undock
+                raise NoTime(NO_TIME_YET)
+        order = read(request)
+        with self._lock:
+            self._check_open()
+            seen = self._observe()  # leaves the replies for the running goal
+            try:
+                start(order, seen)
+                self._goal = goal
+                self._torque_off_at = math.inf
+                self._reports.begin(titled(name, request.request_id), _as_text(order))
+                self._reports.show(self._machine.status)
+                self._hand_over()
+            except DockingError:
+                raise
+            except Exception as error:  # the machine may have begun; without this, nothing would end its goal
+                self._defect(error)
+                raise
+        return goal
+
+    def _check_open(self) -> None:
+        """Refuse goals while the node closes, with `Busy`."""
+        if self._closed and self._waiting is None:
+            raise Busy(f"{_SHUTTING_DOWN}; send the goal again when it is back")
+
+    def _end(self, outcome: DockingOutcome) -> None:
+        """End the goal being served with this outcome."""
+        goal, self._goal = self._goal, None
+        if goal is not None:
+            self._ended = goal.handle
+            goal.end(outcome)
+
+    def _feed_back(self, passed: Sequence[State], charge_current: float) -> None:
+        """Publish feedback if something changed, once for each state passed through since the last call."""
+        goal, status = self._goal, self._machine.status
+        if goal is None:
+            return
+        states = changes(goal.state, passed, status.state)
+        goal.state = status.state
+        if goal.is_due((status.alignments, status.estimate, status.waiting_for), _FEEDBACK):
+            states = states or [status.state]
+        for state in states:
+            message = goal.action.Feedback(state=int(state), z=status.position[2])
+            if goal.action is Dock:
+                message.alignments = status.alignments
+                message.contact_current = status.contact_current
+                message.misalignment = self._calls.misalignment(status.estimate)
+                message.elapsed = duration(status.elapsed)
+                message.waiting_for = status.waiting_for
+            else:
+                message.charge_current = charge_current
+            goal.feed_back(message)
+
+    def _dock_goal(self, request: Dock.Goal) -> DockGoal:
+        """Return the plain values of a Dock goal. The pose is converted once, since the robot stands still.
+
+        What can never be served is refused first, so that nobody sends it again after a goal that is served now.
+        """
+        goal = DockGoal(
+            electrodes=None,
+            critical_angle=request.critical_angle,
+            start_charging=request.start_charging,
+            hold=request.hold,
+            stop_energy=request.stop_energy,
+            stop_after=seconds(request.stop_after),
+            request_id=request.request_id,
+            target_profile=request.target_profile,
+        )
+        io.check_numbers(request.electrodes)
+        frame = request.electrodes.header.frame_id
+        with self._lock:
+            self._machine.check(goal)
+            self._check_open()
+            if self._frames.needs_tf(frame):  # whose first lookup takes long: live electrodes must not wait for it
+                self._machine.check_free()
+        try:
+            charger = self._frames.charger_base_in(frame, request.electrodes.header.stamp)
+        except TransformError as error:
+            raise io.refusal(error) from error
+        return replace(goal, electrodes=io.electrodes(request.electrodes, charger))
+
+    def _dock_result(self, outcome: DockingOutcome) -> Dock.Result:
+        return to_result(
+            Dock,
+            outcome,
+            misalignment=self._calls.misalignment(outcome.estimate),
+            suggested_base_pose=io.pose_stamped(
+                outcome.suggested_base, self.get_clock().now().to_msg(), self._frames.charger_base
+            ),
+            redockings=outcome.redockings,
+            **{name: getattr(outcome, name) for name in io.MEASURED},
+        )
+
+
+def _as_text(goal: DockGoal | str) -> str:
+    """Return a goal's request as text; '' for undocking."""
+    if isinstance(goal, str):
+        return ""
+    at = "electrodes located by the camera"
+    if goal.electrodes is not None:
+        at = f"electrodes at {place(*goal.electrodes.position, goal.electrodes.roll)}"
+    stops = [f"{goal.stop_energy:g} J" if goal.stop_energy else "", f"{goal.stop_after:g} s" if goal.stop_after else ""]
+    until = " or ".join(filter(None, stops))
+    charge = "charges" if goal.start_charging else "does not charge"
+    if goal.target_profile:
+        charge = f"{charge} as {goal.target_profile}"
+    return f"{at}, {charge}{until and f' until {until}'}{', holds the goal' if goal.hold else ''}"
 
 
 def main(args: Sequence[str] | None = None) -> int:

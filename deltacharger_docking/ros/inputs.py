@@ -7,7 +7,6 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Iterable
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -17,7 +16,6 @@ from deltacharger.msg import ChargerPower, ServoState, TactileFrame
 from rclpy.clock import Clock
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.serialization import deserialize_message
 
 from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, JOINTS, PADS, ROWS, in_words
 from deltacharger_core.real_time import AHEAD, COMPARE_CLOCKS, HOST, HostClock
@@ -29,9 +27,9 @@ from deltacharger_ros.log import Log
 from deltacharger_ros.messages import seconds
 from deltacharger_ros.on_demand import LatestMessage, PolledTopic
 
+_LOOK = 0.1  # s between checks for second sources; each takes 0.1 ms
 _BACKLOG = 64  # tactile frames, half a second: frames are kept while docking's thread is delayed
-_FRAME_MAX = 16_384  # bytes; a tactile frame has 900
-_PER_SERVO = ("position", "current", "hardware_error", "torque_enabled", "valid")
+_PER_SERVO = ("name", "position", "current", "hardware_error", "torque_enabled", "valid", "thermal_reserve", "stray")
 SOURCES = ("servo_state", "tactile_frame", "charger_power", "joint_trajectory")
 """Topics that docking uses and only one node may publish."""
 SERVERS = ("predict_misalignment", "detect_electrodes", "set_torque", "tare", "probe", "set_contactor")
@@ -49,11 +47,12 @@ class Heard:
         host: clock of the computer.
 
     Attributes:
-        refused: refused messages.
+        refused: number of refused messages.
+        last_refusal: why the last one was refused.
     """
 
     def __init__(self, clock: Clock, host: HostClock = HOST) -> None:
-        self.refused = Refusals()
+        self.refused, self.last_refusal = 0, ""
         self._clock, self._host = clock, host
         self._watch = ClockWatch(clock, host)
         self._frame_check = FrameCheck()
@@ -62,29 +61,6 @@ class Heard:
         self._taxels = np.zeros((PADS, ROWS, COLUMNS))  # N, of the latest frame
         self._misdated: dict[type[Any], str] = {}  # why a clock is wrong, by the stamp of the last message
         self._measured = dict.fromkeys((ServoState, TactileFrame, ChargerPower), -math.inf)  # and its time, s
-
-    def hear_frames(self, frames: Iterable[bytes]) -> None:
-        """Take tactile frames as bytes: all for estimates, the newest valid one as the state of the pads."""
-        taken = list(frames)
-        instant = self._host.now()
-        newest = b""
-        for data in taken:
-            try:
-                stamp, sequence = stamp_and_sequence(data, _FRAME_MAX)
-                old = self._age(TactileFrame, stamp)
-            except MessageRefused as refusal:
-                self.refused.add("tactile_frame", str(refusal))
-                continue
-            self._frame_check.add(sequence, instant - old)
-            newest = data
-        if not newest:
-            return
-        try:
-            frame = deserialize_message(newest, TactileFrame)
-        except RuntimeError as error:  # foreign bytes
-            self.refused.add("tactile_frame", f"it cannot be read: {type(error).__name__}")
-            return
-        self.hear(frame)
 
     def hear(self, message: Any) -> None:
         """Store new measurements with their time; old data do not become fresh by being sent late or again.
@@ -104,11 +80,12 @@ class Heard:
                 self._misdated[kind] = f"its stamp is {before - stamp:.3f} s older than one before; {COMPARE_CLOCKS}"
                 raise MessageRefused(self._misdated[kind])
             if kind in _CHECKS:  # charger_power is checked where its values are used
-                message = _CHECKS[kind](message)
+                _CHECKS[kind](message)
         except MessageRefused as refusal:
-            self.refused.add(_NAMES[kind], str(refusal))
+            self.refused, self.last_refusal = self.refused + 1, f"{_NAMES[kind]}: {refusal}"
             return
         if kind is TactileFrame:
+            self._frame_check.add(message.sequence, instant - old)
             self._taxels = np.array((message.left, message.right), np.float64).reshape(-1, ROWS, COLUMNS)
         if kind is not ServoState or all(message.valid):
             self._measured[kind] = instant - max(old, 0.0)
@@ -133,7 +110,7 @@ class Heard:
                 servos_mute=not any(servo.valid),
                 hardware_error=int(np.bitwise_or.reduce(np.array(servo.hardware_error, dtype=np.uint8))),
                 torque_enabled=all(servo.torque_enabled),
-                thermal_reserve=float(np.min(servo.thermal_reserve, initial=math.inf)),  # NaN if one is unknown
+                thermal_reserve=float(np.min(servo.thermal_reserve)),  # NaN if one is unknown
                 stopped=in_words(servo.stray),
             )
         if tactile is not None:
@@ -182,25 +159,24 @@ class Inputs:
     """The topics that docking hears, as one `Observation`.
 
     Topics are read only when an observation is requested, because only the newest message counts. All tactile frames
-    are received, as bytes: an estimate that allows current must come from them.
+    are received: an estimate that allows current must come from them.
 
     Args:
         node: subscribes.
         log: of the node.
 
     Attributes:
-        refused: refused messages.
+        heard: what they told.
     """
 
     def __init__(self, node: Node, log: Log) -> None:
         self._log = log
         self._lock = threading.Lock()
-        self._heard = Heard(node.get_clock())
-        self.refused = self._heard.refused
+        self.heard = Heard(node.get_clock())
         self._servo = LatestMessage(node, ServoState, "servo_state", QoSProfile(depth=1))
         self._power = LatestMessage(node, ChargerPower, "charger_power", QoSProfile(depth=1))
         sampled = QoSProfile(depth=_BACKLOG, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._frames = PolledTopic(node, TactileFrame, "tactile_frame", sampled, raw=True)
+        self._frames = PolledTopic(node, TactileFrame, "tactile_frame", sampled)
         self._duplicates = Duplicates(node, SOURCES, (*SERVERS, *_GOALS))
         self._double, self._looked, self._steps = "", -math.inf, HOST.steps
 
@@ -212,10 +188,10 @@ class Inputs:
         """Let servo_state wake no thread until the next `wait`."""
         self._servo.rest()
 
-    def look(self, period: float) -> None:
-        """Log second sources and steps of the clock, if the last check is more than `period` s ago."""
+    def look(self) -> None:
+        """Log second sources and steps of the clock; does nothing within _LOOK of the last call."""
         now = time.monotonic()
-        if now - self._looked < period:
+        if now - self._looked < _LOOK:
             return
         before = self._double
         self._looked, self._double = now, self._duplicates.look()
@@ -230,51 +206,36 @@ class Inputs:
         with self._lock:
             for message in (self._servo.take(), self._power.take()):
                 if message is not None:
-                    self._heard.hear(message)
-            self._heard.hear_frames(data for data, _ in self._frames.take())
-            return self._heard.observation(
+                    self.heard.hear(message)
+            for frame, _ in self._frames.take():
+                self.heard.hear(frame)
+            return self.heard.observation(
                 replies,
                 contactor_refusal=contactor_refusal,
                 duplicate_sources=self._double,
             )
 
 
-def _in_order(message: ServoState) -> ServoState:
-    """Return the servos in the order of the limbs.
-
-    Raises:
-        MessageRefused: data are missing, foreign or impossible.
-    """
-    arrays = [getattr(message, name) for name in _PER_SERVO]
-    count = len(JOINTS)
-    later = len(message.thermal_reserve), len(message.stray)  # fields that earlier versions lack
-    if any(len(each) != count for each in (message.name, *arrays)) or not {*later} <= {0, count}:
+def _three_servos(message: ServoState) -> None:
+    """Refuse a message whose data are missing, foreign or impossible."""
+    if any(len(getattr(message, name)) != len(JOINTS) for name in _PER_SERVO):
         raise MessageRefused("its arrays do not describe three servos")
-    if sorted(message.name) != sorted(JOINTS):
+    if list(message.name) != list(JOINTS):
         raise MessageRefused(f"its joints are not {', '.join(JOINTS)}")
     widest = max(0.0, *message.position, key=abs)  # 0.0 first: NaN is not measured
     if problem := outside(widest, -math.pi, math.pi, "rad"):
         raise MessageRefused(f"a position: {problem}")
-    if list(message.name) == list(JOINTS):
-        return message
-    order = [list(message.name).index(name) for name in JOINTS]
-    sorted_ = {name: [each[index] for index in order] for name, each in zip(_PER_SERVO, arrays, strict=True)}
-    stray = [message.stray[index] for index in order] if len(message.stray) else []
-    return ServoState(
-        header=message.header, name=list(JOINTS), thermal_reserve=message.thermal_reserve, stray=stray, **sorted_
-    )
 
 
-def _two_pads(message: TactileFrame) -> TactileFrame:
+def _two_pads(message: TactileFrame) -> None:
     sizes = (message.rows, message.columns, len(message.left), len(message.right))
     if sizes != (ROWS, COLUMNS, ROWS * COLUMNS, ROWS * COLUMNS):
         raise MessageRefused(f"its pads do not have {ROWS} × {COLUMNS} taxels")
     if any(np.isinf(pad).any() for pad in (message.left, message.right)):
         raise MessageRefused("a taxel's force is infinite")
-    return message
 
 
-_CHECKS: dict[type[Any], Any] = {ServoState: _in_order, TactileFrame: _two_pads}
+_CHECKS: dict[type[Any], Any] = {ServoState: _three_servos, TactileFrame: _two_pads}
 _NAMES: dict[type[Any], str] = dict(zip((ServoState, TactileFrame, ChargerPower), SOURCES, strict=False))
 
 
@@ -325,24 +286,6 @@ class MessageRefused(Exception):
     """A message is refused. Example: its stamp lies in the future."""
 
 
-class Refusals:
-    """Refused messages.
-
-    Attributes:
-        count: number of messages.
-        last: reason of the last one.
-    """
-
-    def __init__(self) -> None:
-        self.count = 0
-        self.last = ""
-
-    def add(self, topic: str, reason: str) -> None:
-        """Count a refused message."""
-        self.count += 1
-        self.last = f"{topic}: {reason}"
-
-
 def stamp_seconds(stamp: Any) -> float:
     """Return a stamp in s.
 
@@ -352,19 +295,3 @@ def stamp_seconds(stamp: Any) -> float:
     if stamp.sec < 0 or stamp.nanosec >= 1_000_000_000:
         raise MessageRefused(f"its stamp is invalid: {stamp.sec} s and {stamp.nanosec} ns")
     return seconds(stamp)
-
-
-def stamp_and_sequence(data: bytes, longest: int) -> tuple[float, int]:
-    """Return stamp (s) and sequence, the first fields of a CDR message of at most `longest` bytes.
-
-    Raises:
-        MessageRefused: the bytes are invalid.
-    """
-    if not 24 <= len(data) <= longest:
-        raise MessageRefused(f"it has {len(data)} bytes; allowed are 24 to {longest}")
-    order: Any = "little" if data[1] & 1 else "big"
-    second, nanosecond, length = (int.from_bytes(data[at : at + 4], order) for at in (4, 8, 12))
-    start = 4 + (12 + length + 7) // 8 * 8  # behind frame_id, aligned to its size from the end of the CDR header
-    if second >= 1 << 31 or nanosecond >= 1_000_000_000 or start + 8 > len(data):
-        raise MessageRefused("it does not begin with a valid stamp, frame_id and sequence")
-    return second + 1e-9 * nanosecond, int.from_bytes(data[start : start + 8], order)

@@ -20,11 +20,11 @@ from deltacharger_core.machine import JOINTS
 from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.codes import PoseUnknown, Rejected
 from deltacharger_docking.observation import BasePose, ElectrodePose
-from deltacharger_docking.parameters import DockingNodeParameters
 from deltacharger_kinematics.trajectory_feed import Waypoint
 from deltacharger_ros.frames import Contradiction, Frames, TransformError, UnknownFrame
 from deltacharger_ros.messages import duration
 
+_LEAN_MAX = math.radians(30.0)  # of a goal's electrodes: more is a wrong frame
 _GOAL_LEAN_STDDEV = math.radians(1.0)  # standard deviation of a goal's lean, which goals do not give
 
 _UNIT = (0.9, 1.1)  # accepted norm of a quaternion
@@ -33,6 +33,11 @@ IMAGE_ALONE = "image"
 """`ElectrodeDetection.source` of a pose without depth."""
 _SAME = 1e-3  # rad; accepted difference of a detection's roll and orientation
 _ABOUT_X, _ABOUT_Y, _ABOUT_Z = 21, 28, 35  # in a 6 × 6 covariance, row-major: variances of the rotations, rad²
+MEASURED = (
+    *("aligned", "alignments", "contact_current", "contact_force", "charge_current", "energy"),
+    *("contact_force_min", "contact_force_max", "charge_end", "charge_voltage"),
+)
+"""Fields of a Dock result that have the same names in an outcome."""
 
 
 def refined(value: MisalignmentEstimate, source: Misalignment) -> Misalignment:
@@ -81,20 +86,17 @@ def check_numbers(message: PoseStamped) -> None:
         raise Rejected("the electrodes' orientation is not a unit quaternion; send one, such as (0, 0, 0, 1)")
 
 
-def electrodes(
-    message: PoseStamped, mount: DockingNodeParameters, charger: Sequence[float] = IDENTITY
-) -> ElectrodePose | None:
+def electrodes(message: PoseStamped, charger: Sequence[float] = IDENTITY) -> ElectrodePose | None:
     """Return a goal's electrodes in charger_base; None for an empty frame_id (ask the camera).
 
     Args:
         message: pose of the electrodes' midpoint, its z axis away from the charger. A lean is used with the error
             _GOAL_LEAN_STDDEV. Without a lean the orientation is taken as the roll about z alone, as most clients send
             it, and the lean of the faces is unknown.
-        mount: limits of the electrodes' lean.
         charger: charger_base in the goal's frame.
 
     Raises:
-        Rejected: as `check_numbers`, or a z axis that leans from charger_base's by more than `lean_max`.
+        Rejected: as `check_numbers`, or a z axis that leans from charger_base's by more than _LEAN_MAX.
     """
     check_numbers(message)
     if not message.header.frame_id:
@@ -104,9 +106,9 @@ def electrodes(
     base = np.array(rotation(*charger[3:]))
     position, axes = base.T @ (position - np.asarray(charger[:3])), base.T @ axes
     leans = math.atan2(math.hypot(axes[0, 2], axes[1, 2]), axes[2, 2])
-    if leans > mount.lean_max:
+    if leans > _LEAN_MAX:
         raise Rejected(
-            f"the electrodes' z axis leans {math.degrees(leans):.0f}° from charger_base's, more than lean_max; give "
+            f"the electrodes' z axis leans {math.degrees(leans):.0f}° from charger_base's, more than 30°; give "
             "the orientation of charger_base, with the roll and lean of the electrodes"
         )
     x, y, z = position.tolist()

@@ -16,7 +16,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from deltacharger_core.texts import figure, passage, quantity
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.observation import Decision, DockingStatus, Observation
-from deltacharger_docking.ros.inputs import SOURCES, Refusals
+from deltacharger_docking.ros.inputs import SOURCES, Heard
 from deltacharger_ros.clock import before_now
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
 from deltacharger_ros.log import Log
@@ -31,14 +31,14 @@ class Reports:
     Args:
         node: publishes.
         log: of the node.
-        ages_max: age (s) of servo_state, tactile_frame and charger_power from which diagnostics report ERROR.
+        age_max: age (s) of data from which diagnostics report ERROR.
         frame: full name of charger_base.
     """
 
-    def __init__(self, node: Node, log: Log, ages_max: tuple[float, float, float], frame: str) -> None:
+    def __init__(self, node: Node, log: Log, age_max: float, frame: str) -> None:
         self._frame = frame
         self._node = node
-        self._ages_max = ages_max
+        self._age_max = age_max
         self._shown: DockingStatus | None = None
         self._diagnosed = -math.inf
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -94,14 +94,14 @@ class Reports:
             message.header.frame_id = self._frame
             self._decision.publish(message)
 
-    def diagnose(self, status: DockingStatus, observation: Observation, slowest_tick: float, refused: Refusals) -> bool:
+    def diagnose(self, status: DockingStatus, observation: Observation, slowest_tick: float, heard: Heard) -> bool:
         """Publish /diagnostics once a second; return whether it did.
 
         Args:
             status: of the machine.
             observation: the latest.
             slowest_tick: s, since the last diagnostics.
-            refused: refused messages so far.
+            heard: knows the refused messages.
         """
         if time.monotonic() - self._diagnosed <= _DIAGNOSTICS:
             return False
@@ -112,7 +112,7 @@ class Reports:
         if status.duplicate_sources:
             level, text = WARN, f"second source, so the contactor will not be closed: {status.duplicate_sources}"
         ages = observation.servo_age, observation.tactile_age, observation.power_age
-        stale = [name for name, age, most in zip(SOURCES, ages, self._ages_max, strict=False) if age > most]
+        stale = [name for name, age in zip(SOURCES, ages, strict=False) if age > self._age_max]
         if stale:
             level, text = ERROR, f"missing or stale: {', '.join(stale)}"
         entries = {
@@ -128,8 +128,8 @@ class Reports:
             "slowest_tick": quantity(1000.0 * slowest_tick, ".1f", "ms"),
             "duplicate_sources": status.duplicate_sources,
             "clock_problem": observation.clock_problem,
-            "refused_messages": refused.count,
-            "refused_last": refused.last,
+            "refused_messages": heard.refused,
+            "refused_last": heard.last_refusal,
         }
         self._diagnostics.report(level, text, entries, "docking")
         return True

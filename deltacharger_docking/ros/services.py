@@ -9,6 +9,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from deltacharger.msg import ElectrodeDetection, Misalignment
@@ -31,13 +32,8 @@ _RENEWAL = 0.05  # s between renewals of the lease, which outlives a stall of fo
 _DISCOVERY = 1.5  # s for a service to appear: discovery takes that long for nodes that start together
 _HOLDER = "docking_node"
 _GIVEN_UP = 2.0  # s after which the answer to a renewal is no longer expected
-_ESTIMATES_KEPT = 8  # with their messages: the machine reports the last one it used, which may not be the newest
 _SAFE = (Service.OPEN, Service.TORQUE_OFF)  # requests that are still sent after a goal has failed
 _LOOKING = 0.9  # of the time for a detection: the detector's reason must arrive before docking gives up
-
-
-def _unchanged(detection: ElectrodeDetection) -> ElectrodeDetection:
-    return detection
 
 
 class Services:
@@ -52,7 +48,7 @@ class Services:
     def __init__(
         self,
         node: Node,
-        place: Callable[[ElectrodeDetection], ElectrodeDetection] = _unchanged,
+        place: Callable[[ElectrodeDetection], ElectrodeDetection] = lambda detection: detection,
         end_effector: str = END_EFFECTOR,
     ) -> None:
         self._place = place
@@ -60,7 +56,6 @@ class Services:
         self._lock = threading.Lock()
         self._replies: list[Reply] = []
         self._refusal = ""
-        self._estimates: deque[tuple[MisalignmentEstimate, Misalignment]] = deque(maxlen=_ESTIMATES_KEPT)
         self._renewals: deque[tuple[Any, float]] = deque()  # unanswered futures, with their start
         self._clock = node.get_clock()
         self._renewed = -math.inf
@@ -130,10 +125,9 @@ class Services:
 
     def misalignment(self, value: MisalignmentEstimate | None) -> Misalignment:
         """Return the message of the machine's last estimate, with the refined values; NaN without an estimate."""
-        if value is None:
+        if value is None or value.source is None:
             return unknown_misalignment(self._end_effector)
-        asked = (message for measured, message in list(self._estimates) if measured.is_of(value))
-        return next((refined(value, message) for message in asked), unknown_misalignment(self._end_effector))
+        return refined(value, value.source)
 
     def contactor(self, wanted: bool, closed: bool, limits: ChargeLimits | None = None) -> None:
         """Renew the lease while `wanted`, twenty times a second; open at once when no longer wanted.
@@ -186,8 +180,7 @@ class Services:
         """Return the fields of a reply in addition to success and message."""
         service = request.service
         if service is Service.ESTIMATE:
-            measured = MisalignmentEstimate.of(answer.misalignment)
-            self._estimates.append((measured, answer.misalignment))
+            measured = replace(MisalignmentEstimate.of(answer.misalignment), source=answer.misalignment)
             named = tuple(answer.sequences) if len(answer.sequences) == request.frames else ()
             return {"estimate": measured, "sequences": named, "asked": asked}
         if service is Service.PROBE:

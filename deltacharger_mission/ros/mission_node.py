@@ -22,8 +22,7 @@ from rclpy.node import Node
 from deltacharger_core.frames import END_EFFECTOR, LONGEST, TransformParameters
 from deltacharger_core.texts import passage, quantity, titled
 from deltacharger_docking.codes import Busy, Canceled, Code, DockingError, Rejected
-from deltacharger_docking.ros.goals import MEASURED
-from deltacharger_docking.ros.messages import in_charger_base, refusal
+from deltacharger_docking.ros.messages import MEASURED, in_charger_base, refusal
 from deltacharger_mission.dialogue import MissionOutcome, MissionStatus, Stage
 from deltacharger_mission.machine import MissionMachine
 from deltacharger_mission.parameters import MissionParameters

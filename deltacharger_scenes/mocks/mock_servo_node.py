@@ -191,6 +191,7 @@ class MockServoNode(Node):
         message.torque_enabled = list(self._arm.torque_enabled)
         message.valid = [True] * 3
         message.thermal_reserve = array.array("f", [math.inf] * 3)
+        message.stray = array.array("B", [0] * 3)
         return message
 
     def _publish(self, message: ServoState) -> None:

@@ -46,7 +46,7 @@ SCENE = {
         *("docking_node", "simulated_camera_node"),
     ],
     "parameters": {
-        "docking_node": {"servo_age_max": 1.0, "tactile_age_max": 1.0, "power_age_max": 1.0},
+        "docking_node": {"age_max": 1.0},
         "simulated_camera_node": {"board": "apriltag:36h11:0", "rate": 4.0},
     },
 }

@@ -863,12 +863,10 @@ def settable(kind: Any, *rows: tuple[str, float, float]) -> Iterator[Limit]:
 
 
 SETTINGS = (
-    *settable(DockingParameters, ("critical_angle", 0.2103, 0.2104), ("hard_current", 4.0, 4.1)),
+    *settable(DockingParameters, ("critical_angle", 0.2103, 0.2104)),
     *settable(DockingParameters, ("clearance_min", 0.0, -1e-4), ("electrode_half_gap", 0.02, 0.021)),
-    *settable(DockingParameters, ("yaw_max", 0.2617, 0.2619), ("pitch_max", 0.2617, 0.2619)),
-    *settable(DockingParameters, ("live_servo_age_max", 0.5, 0.51), ("servo_age_max", 2.0, 2.1)),
-    *settable(DockingParameters, ("tactile_age_max", 2.0, 2.1), ("magnet_force", 300.0, 300.1)),
-    *settable(DockingParameters, ("power_age_max", 2.0, 2.1), ("detection_age_max", 10.0, 10.1)),
+    *settable(DockingParameters, ("live_servo_age_max", 0.5, 0.51), ("age_max", 2.0, 2.1)),
+    *settable(DockingParameters, ("magnet_force", 300.0, 300.1)),
     *settable(ServoNodeParameters, ("current_max", 4.1, 4.2), ("current_bound", 4.1, 4.2)),
     *settable(MeasuredServos, ("stiffness", 0.5, 0.4), ("stiffness", 160.0, 161.0), ("torque_constant", 0.1, 0.09)),
     *settable(TactileNodeParameters, ("pitch", 1e-4, 9e-5), ("rate", 200.0, 201.0)),

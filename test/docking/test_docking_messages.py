@@ -74,13 +74,11 @@ def roll_of(numbers: tuple[float, ...]) -> float:
     return math.atan2(rows[1][0], rows[0][0])
 
 
-def goal(
-    numbers: tuple[float, ...], mount: DockingNodeParameters = MOUNT, charger: tuple[float, ...] = IDENTITY
-) -> ElectrodePose:
+def goal(numbers: tuple[float, ...], charger: tuple[float, ...] = IDENTITY) -> ElectrodePose:
     message = PoseStamped()
     message.header.frame_id = "charger_base"
     message.pose.position.z, message.pose.orientation = 0.08, quaternion(numbers)
-    found = io.electrodes(message, mount, charger)
+    found = io.electrodes(message, charger)
     assert found is not None
     return found
 
@@ -93,7 +91,7 @@ def test_a_goal_that_leans_keeps_its_lean_in_either_frame(
 ) -> None:
     orientation = turned(yaw * DEGREE, pitch * DEGREE, roll * DEGREE)
     in_robot = product(mount.base_pose[3:], orientation)
-    for found in (goal(orientation, mount), goal(in_robot, mount, mount.base_pose)):
+    for found in (goal(orientation), goal(in_robot, mount.base_pose)):
         assert (found.yaw, found.pitch) == pytest.approx((yaw * DEGREE, pitch * DEGREE))
         assert found.yaw_stddev == found.pitch_stddev == DEGREE
         assert found.roll == pytest.approx(roll_of(orientation))
@@ -105,16 +103,16 @@ def test_the_lean_of_a_goal_with_only_a_roll_is_unknown_not_zero(roll: float, mo
     """Also with rounded numbers: a fleet that sends a roll has not measured the lean."""
     orientation = turned(roll=roll * DEGREE)
     rounded = tuple(round(value, 4) for value in product(mount.base_pose[3:], orientation))
-    for found in (goal(orientation, mount), goal(rounded, mount, mount.base_pose)):
+    for found in (goal(orientation), goal(rounded, mount.base_pose)):
         assert all(map(math.isnan, (found.yaw, found.pitch, found.yaw_stddev, found.pitch_stddev)))
         assert found.sure_yaw(2.0) == 0.0
         assert found.roll == pytest.approx(roll * DEGREE, abs=1e-3)
 
 
-def test_a_goal_with_more_lean_than_lean_max_is_refused() -> None:
+def test_a_goal_with_more_lean_than_30_degrees_is_refused() -> None:
     assert goal(turned(29.9 * DEGREE)).yaw == pytest.approx(29.9 * DEGREE)
     for numbers in (turned(30.1 * DEGREE), turned(pitch=-30.1 * DEGREE), turned(math.pi)):
-        with pytest.raises(Rejected, match="lean_max"):
+        with pytest.raises(Rejected, match="more than 30°"):
             goal(numbers)
 
 

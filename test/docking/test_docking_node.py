@@ -207,7 +207,7 @@ def defect(monkeypatch: pytest.MonkeyPatch, owner: Any, method: str, once: bool)
     [
         pytest.param("_machine", "step", marks=pytest.mark.witness),
         rest("_inputs", "observation"),
-        rest("_goals", "_begun"),
+        rest("_reports", "begin"),
     ],
 )
 def test_an_internal_defect_while_charging_opens_the_contactor(
@@ -215,8 +215,8 @@ def test_an_internal_defect_while_charging_opens_the_contactor(
 ) -> None:
     """In its decisions or observations at each call, or at the beginning of undocking."""
     charger.charge()
-    defect(monkeypatch, getattr(charger.node("docking_node"), part), method, once=part == "_goals")
-    if part == "_goals":
+    defect(monkeypatch, getattr(charger.node("docking_node"), part), method, once=part == "_reports")
+    if part == "_reports":
         assert charger.undock().error_name == "INTERNAL"
     wait_until(lambda: not charger.is_closed, "an open contactor", host(OPENS))
     wait_until(lambda: not charger.node("mock_servo_node").torque_enabled, "no torque")
@@ -228,7 +228,7 @@ def test_an_internal_defect_while_charging_opens_the_contactor(
 @pytest.mark.rest
 @pytest.mark.parametrize(
     ("part", "method", "once"),
-    [("_machine", "_record_goal", True), ("_goals", "_begun", True), ("_machine", "step", False)],
+    [("_machine", "_record_goal", True), ("_reports", "begin", True), ("_machine", "step", False)],
 )
 def test_an_internal_defect_ends_a_goal_with_its_code_and_leaves_the_charger_free(
     charger: RunningCharger, part: str, method: str, once: bool, monkeypatch: pytest.MonkeyPatch
@@ -250,19 +250,19 @@ def test_wrong_messages_on_a_topic_end_charging(charger: RunningCharger, monkeyp
     docking, publisher = charger.node("docking_node"), charger.node("mock_servo_node")._state
     warned: list[str] = []
     monkeypatch.setattr(docking._log, "warning", lambda line, *more: warned.append(line))
-    before, publish = docking._inputs.refused.count, publisher.publish
+    before, publish = docking._inputs.heard.refused, publisher.publish
 
     def mislabel(message: Any) -> None:
         message.name = ["a", "b", "c"]
         publish(message)
 
     monkeypatch.setattr(publisher, "publish", mislabel)
-    age_max = docking.get_parameter("servo_age_max").value
+    age_max = docking.get_parameter("age_max").value
     wait_until(lambda: not charger.is_closed, "an open contactor", age_max + host(OPENS))
     wait_until(lambda: charger.state.error_code, "a code")
     assert CODES[charger.state.error_code] == "SERVO_STALE"
-    assert docking._inputs.refused.count > before
-    assert docking._inputs.refused.last.startswith("servo_state")
+    assert docking._inputs.heard.refused > before
+    assert docking._inputs.heard.last_refusal.startswith("servo_state")
     assert any("charging → retract" in line and "SERVO_STALE" in line for line in warned), warned
     monkeypatch.undo()
     bring_home(charger)
@@ -389,7 +389,7 @@ def test_a_held_charger_moves_nothing_and_serves_queued_goals_after_release(quic
         assert client.wait_until_ready(DEADLINE)
         ended = RawGoals(client).send(pose()).get_result_async()
         docking = composition.node("docking_node")
-        wait_until(lambda: docking._goals._waiting, "the queued goal")
+        wait_until(lambda: docking._waiting, "the queued goal")
         assert not any((docking._thread.is_alive(), composition.node("mock_servo_node").torque_enabled))
         composition.release()
         wait_until(ended.done, "the docking")
@@ -466,7 +466,7 @@ def test_goals_are_refused_before_the_first_clock_message_and_served_until_the_c
         wait_until(lambda: node.get_clock().now().nanoseconds >= _BEGIN * 1e9, "/clock at docking_node")
         charger.charge()
         assert _BEGIN <= charger.state.header.stamp.sec < _BEGIN + DEADLINE
-        age_max = node.get_parameter("servo_age_max").value
+        age_max = node.get_parameter("age_max").value
         simulator.close()
         wait_until(lambda: not charger.is_closed, "an open contactor", age_max + host(0.5))
         wait_until(lambda: charger.state.error_code, "a code")

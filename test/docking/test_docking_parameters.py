@@ -1,65 +1,204 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Docking's parameters: each is read and used; live ones are set between goals and apply to the next one."""
+"""Docking's parameters: a charger that differs in one alone from one with the defaults acts differently.
+
+A parameter that changes nothing which a user can see has no place among them. What contradicts others is refused by
+name; live ones are set between goals.
+"""
 
 from __future__ import annotations
 
 import ast
-import dataclasses
+import math
+import operator
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import pytest
 
 from deltacharger_core.machine import DOCK_DISTANCE
-from deltacharger_core.parameters import Declaration, declared
+from deltacharger_core.parameters import ParameterError, declared
 from deltacharger_core.servo_types import MX_64, TYPES, ServoType
+from deltacharger_docking.codes import Code, Rejected, State
 from deltacharger_docking.machine import DockingMachine
-from deltacharger_docking.observation import Observation
+from deltacharger_docking.observation import DockGoal, Observation
 from deltacharger_docking.parameters import DockingNodeParameters, DockingParameters
 from deltacharger_docking.ros.docking_node import DockingNode
+from deltacharger_kinematics import DeltaGeometry
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_mission.parameters import MissionParameters
-from deltacharger_scenes.overrides import problems
-from deltacharger_scenes.scene import parse_scene
+from deltacharger_sim.parameters import TargetParameters
+from deltacharger_sim.virtual.virtual_charger import GOAL, VirtualCharger
 
 from ..nodes import options
+from .dockings import assert_safe_at_home, charger, commands, decisions, reach, spoil
 
-LIVE = [each for each in declared(DockingParameters) if each.tunable]
+TESTS = Path(__file__).resolve().parents[1]
+Shows = Callable[[VirtualCharger], Any]
+
+
+class Case(NamedTuple):
+    """Two chargers, of which the second has another value of one parameter.
+
+    Args:
+        value: of the parameter, on the second charger.
+        shows: what a charger shows.
+        then: the code of the second goal, while the first succeeds; or how the second compares with the first.
+        place: of the target, in mm, mm and degrees from the goal's.
+        also: other parameters of both chargers.
+        world: other parameters of their world.
+    """
+
+    value: Any
+    shows: Shows
+    then: Code | Callable[[Any, Any], bool]
+    place: tuple[float, float, float] = (3.0, -2.0, 2.0)
+    also: Mapping[str, Any] = MappingProxyType({})
+    world: Mapping[str, Any] = MappingProxyType({})
+
+    def seen(self, **given: Any) -> Any:
+        """Return what a charger with these parameters shows."""
+        return self.shows(charger(*self.place, parameters={**self.also, **given}, coarse=True, **self.world))
+
+
+def code(run: VirtualCharger) -> Code:
+    return run.dock().code
+
+
+def seconds(run: VirtualCharger) -> float:
+    assert run.dock().success
+    return run.now
+
+
+def contacts(run: VirtualCharger) -> int:
+    assert run.dock().success
+    return run.world.record.contacts
+
+
+def push(run: VirtualCharger) -> float:
+    """Return the contact current at rest, A."""
+    outcome = run.dock(DockGoal(GOAL, start_charging=False))
+    assert outcome.success
+    return outcome.contact_current
+
+
+def told_force(run: VirtualCharger) -> float:
+    outcome = run.dock(DockGoal(GOAL, start_charging=False))
+    assert outcome.success
+    return outcome.contact_force
+
+
+def tared_at(run: VirtualCharger) -> float:
+    """Return where the arm measures its zero, m."""
+    sent = commands(run)
+    run.begin(DockGoal(GOAL))
+    run.until(lambda: bool(decisions(sent, "zero")), 30.0)
+    return run.world.snapshot().position[2]
+
+
+def returns_to(run: VirtualCharger) -> float:
+    """Return where the arm rests after undocking, m."""
+    assert run.dock().success
+    assert run.undock().success
+    return run.world.snapshot().position[2]
+
+
+def shown(state: State, lasts: float, **values: Any) -> Shows:
+    """Replace these values in an observation for some seconds from a state on, and return the code that follows."""
+
+    def shows(run: VirtualCharger) -> Code:
+        reach(run, state)
+        run.run(0.1)
+        spoil(run, **values)
+        run.run(lasts)
+        spoil(run)
+        run.run(0.1)
+        return run.machine.status.code
+
+    return shows
+
+
+def yaw_error(run: VirtualCharger) -> float:
+    """Return the standard deviation of the faces' yaw, rad."""
+    assert run.dock().success
+    return run.machine.status.estimate.yaw_stddev
+
+
+def rest(run: VirtualCharger) -> State:
+    """Return what the charger does a while after it was docked."""
+    assert run.dock().success
+    run.run(8.0)
+    return run.machine.status.state
+
+
+CASES: dict[str, Case | str] = {
+    "power": "docking/test_approaches.py::test_it_docks_and_aligns_and_reports_only_known_values",
+    "servo_stiffness": Case(160.0, code, Code.SERVO_FAULT),
+    "torque_constant": Case(1.2, told_force, operator.lt),
+    "gravity": Case((0.0, 20.0, 0.0), code, Code.SERVO_FAULT),
+    "home_z": Case(0.03, returns_to, operator.gt),
+    "travel_speed": Case(0.02, seconds, operator.gt),
+    "search_speed": Case(0.005, seconds, operator.gt),
+    "press_speed": Case(0.003, seconds, operator.gt),
+    "standoff": Case(0.03, tared_at, operator.lt),
+    "search_depth": Case(0.005, code, Code.NO_CONTACT, world={"target": TargetParameters(z=0.095)}),
+    "current_min": Case(0.46, push, operator.gt),
+    "current_max": Case(0.44, push, operator.lt),
+    "critical_angle": Case(math.radians(5.0), code, Code.CRITICAL_ANGLE, (3.0, -2.0, 6.0)),
+    "electrode_half_gap": Case(0.001, code, Code.CRITICAL_ANGLE, (3.0, -2.0, 6.0)),
+    "electrode_half_length": Case(0.1, code, Code.CRITICAL_ANGLE, (3.0, -2.0, 6.0)),
+    "clearance_min": Case(0.005, code, Code.CRITICAL_ANGLE, (3.0, -2.0, 6.0)),
+    "landing_limit": Case(0.001, contacts, operator.gt, (11.0, -9.0, 6.0)),
+    "overlap_loss_max": Case(0.001, contacts, operator.gt),
+    "place_stddev": Case(0.0001, code, Code.LEANING, (11.0, -9.0, 6.0)),
+    "yaw_stddev": Case(0.0, contacts, operator.lt),
+    "platform_compliance": Case(0.1, yaw_error, operator.gt),
+    "magnet_force": Case(300.0, code, Code.STUCK),
+    "charge_stable_time": Case(3.0, seconds, operator.gt),
+    "battery_voltage_min": Case(23.5, shown(State.CHARGING, 6.0, battery_voltage=23.2), Code.VOLTAGE_OUT_OF_RANGE),
+    "battery_voltage_start": Case(27.0, code, Code.VOLTAGE_OUT_OF_RANGE),
+    "battery_voltage_max": Case(24.0, code, Code.VOLTAGE_OUT_OF_RANGE),
+    "hold_max": Case(5.0, rest, operator.ne),
+    "age_max": Case(0.2, shown(State.CONTACT, 0.2, servo_age=0.3), Code.SERVO_STALE),
+    "live_servo_age_max": Case(0.1, shown(State.CHARGING, 0.1, servo_age=0.15), Code.SERVO_STALE),
+    "goal_timeout": Case(12.0, code, Code.TIMEOUT, also={"press_speed": 0.002}),
+    "servo_type": "docking/test_docking_parameters.py::test_the_band_of_every_servo_type_is_the_papers_force",
+    "base_frame": "ros/test_frames.py::test_without_tf2_ros_parameters_are_used_and_other_frames_refused_by_name",
+    "base_pose": "docking/test_docking_messages.py::test_a_goal_that_leans_keeps_its_lean_in_either_frame",
+}
+"""For each parameter its case, or the test that shows what it does."""
+
+
+@pytest.mark.parametrize("name", [name for name, case in CASES.items() if isinstance(case, Case)])
+def test_another_value_changes_what_the_charger_does(name: str) -> None:
+    case = CASES[name]
+    assert isinstance(case, Case)
+    usual, changed = case.seen(), case.seen(**{name: case.value})
+    if isinstance(case.then, Code):
+        assert (usual, changed) == (Code.NONE, case.then)
+    else:
+        assert case.then(changed, usual), (changed, usual)
+
+
+def test_every_parameter_has_a_case_or_a_test_that_exists() -> None:
+    assert set(CASES) == {each.name for table in (DockingParameters, DockingNodeParameters) for each in declared(table)}
+    for name in CASES.values():
+        if isinstance(name, str):
+            file, _, test = name.partition("::")
+            tree = ast.parse((TESTS / file).read_text("utf-8"))
+            assert test in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}, name
+
+
 GUARDS = {  # of live electrodes, or copied by another part
-    "power", "critical_angle", "clearance_min", "electrode_half_gap", "electrode_half_length", "yaw_max", "pitch_max",
-    "battery_voltage_min", "battery_voltage_start", "battery_voltage_max",
-    "servo_age_max", "live_servo_age_max", "tactile_age_max", "power_age_max",
-    "hard_current", "torque_constant", "gravity", "servo_stiffness", "magnet_force",
-}  # fmt: skip
-
-
-def content(thing: Any, seen: set[int]) -> Any:
-    """Return all values that can be reached from an object."""
-    if id(thing) in seen or callable(thing):
-        return type(thing).__name__
-    if isinstance(thing, dict | list | tuple) or hasattr(thing, "__dict__"):
-        seen.add(id(thing))
-    if isinstance(thing, dict):
-        return {str(key): content(value, seen) for key, value in thing.items()}
-    if isinstance(thing, list | tuple):
-        return [content(value, seen) for value in thing]
-    if hasattr(thing, "__dict__"):
-        return content(vars(thing), seen)
-    return repr(thing)
-
-
-@pytest.mark.parametrize("each", LIVE, ids=lambda each: each.name)
-def test_a_tuned_machine_equals_one_created_with_these_values(each: Declaration) -> None:
-    wanted = dataclasses.replace(DockingParameters(), **{each.name: other(each)})
-    tuned = DockingMachine(DockingParameters())
-    assert tuned.tune(wanted) == ""
-    assert content(tuned, set()) == content(DockingMachine(wanted), set())
-    assert content(tuned, set()) != content(DockingMachine(DockingParameters()), set())
+    *("power", "critical_angle", "clearance_min", "electrode_half_gap", "electrode_half_length"),
+    *("battery_voltage_min", "battery_voltage_start", "battery_voltage_max", "age_max", "live_servo_age_max"),
+    *("torque_constant", "gravity", "servo_stiffness", "magnet_force"),
+}
 
 
 def test_parameters_that_protect_live_electrodes_or_describe_the_machine_are_fixed() -> None:
-    assert len(LIVE) > 10
-    assert not GUARDS & {each.name for each in LIVE}
+    assert not GUARDS & {each.name for each in declared(DockingParameters) if each.tunable}
     assert {each.name for each in declared(DockingParameters)} >= GUARDS
 
 
@@ -71,55 +210,39 @@ def test_tuning_is_refused_while_the_arm_retracts() -> None:
     assert machine.tune(DockingParameters(home_z=0.01)) == ""
 
 
-ROOT = Path(__file__).resolve().parents[2]
-TABLES = (DockingParameters, DockingNodeParameters, MissionParameters)
+@pytest.mark.parametrize(
+    ("given", "key", "other"),
+    [
+        ({"current_min": 0.48}, "current_min", r"current_max must be more than 0\.03 A above it"),
+        ({"battery_voltage_min": 24.0}, "battery_voltage_min", r"battery_voltage_start, 23\.7"),
+    ],
+)
+def test_two_that_contradict_each_other_are_refused(given: dict[str, float], key: str, other: str) -> None:
+    with pytest.raises(ParameterError, match=other) as refused:
+        DockingParameters(**given)
+    assert refused.value.key == key
 
 
-def other(each: Declaration) -> Any:
-    """Return an allowed value near the default, so that no two parameters contradict each other."""
-    if isinstance(each.default, tuple):
-        return [*each.default[:-1], 0.51]
-    if each.kind is bool:
-        return not each.default
-    if each.kind is str:
-        return next((word for word in each.choices if word != each.default), "elsewhere")
-    if each.kind is int:
-        return each.default + (1 if each.default < each.high else -1)
-    return each.default + 1e-3 * min(each.high - each.default, each.default - each.low or each.high)
+@pytest.mark.parametrize(("low", "high"), [(0.85, 0.95), (0.16, 0.25)])
+def test_with_another_band_it_docks_too(low: float, high: float) -> None:
+    run = charger(11.0, -9.0, 6.0, parameters={"current_min": low, "current_max": high}, coarse=True)
+    outcome = run.dock()
+    assert outcome.success, outcome.message
+    assert low <= outcome.contact_current <= high
+    assert run.undock().success
+    assert_safe_at_home(run)
 
 
-def values(node: str) -> dict[str, Any]:
-    tables = TABLES[:2] if node == "docking_node" else TABLES[2:]
-    return {each.name: other(each) for table in tables for each in declared(table)}
+def test_a_home_from_which_the_arm_could_not_pull_off_is_refused() -> None:
+    with pytest.raises(Rejected, match="less than 12 mm beyond home_z, 68 mm"):
+        charger(parameters={"home_z": 0.0681}, coarse=True).dock()
 
 
-@pytest.mark.parametrize("table", TABLES, ids=lambda table: table.__name__)
-def test_every_declared_parameter_is_read(table: type[Any]) -> None:
-    """Read as an attribute somewhere in the package that declares it."""
-    read = {
-        node.attr
-        for path in (ROOT / table.__module__.partition(".")[0]).rglob("*.py")
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load)
-    }
-    assert not {each.name for each in declared(table)} - read
-
-
-@pytest.mark.parametrize("node", ["docking_node", "mission_node"])
-def test_a_scene_may_set_each_parameter_and_wrong_values_are_refused(node: str) -> None:
-    given = values(node)
-    assert not list(problems(parse_scene({"nodes": [node], "parameters": {node: given}}, "mine")))
-    for name in [name for name, value in given.items() if type(value) in (int, float)][::3]:
-        ((key, _),) = problems(parse_scene({"nodes": [node], "parameters": {node: {name: "much"}}}, "mine"))
-        assert key == f"parameters.{node}.{name}"
-
-
-@pytest.mark.ros
-def test_the_node_uses_the_values_of_the_scene(context: Any, namespace: str) -> None:
-    given = parse_scene({"nodes": ["docking_node"], "parameters": {"docking_node": values("docking_node")}}, "mine")
-    decides_by = parameters_of(context, namespace, **given.node_parameters("docking_node", {}))
-    wanted = {each.name: other(each) for each in declared(DockingParameters)}
-    assert decides_by == DockingParameters(**{**wanted, "gravity": tuple(wanted["gravity"])})
+def test_an_arm_that_reaches_no_electrodes_suggests_no_other_place() -> None:
+    with pytest.raises(Rejected, match="correct the arm's geometry"):
+        DockingMachine(DockingParameters(), DeltaGeometry(arm=0.01)).start_dock(
+            DockGoal(GOAL, start_charging=False), Observation(0.0)
+        )
 
 
 def parameters_of(context: Any, namespace: str, **given: Any) -> DockingParameters:
@@ -140,4 +263,4 @@ def test_the_band_of_every_servo_type_is_the_papers_force(context: Any, namespac
     assert forces == pytest.approx([15.3, 19.2], abs=0.06)  # N, the paper's 0.4 and 0.5 A of an MX-64
     assert (found == DockingParameters()) is (servo is MX_64)
     own = parameters_of(context, f"{namespace}_own", servo_type=servo.name, current_max=0.6)
-    assert own == dataclasses.replace(found, current_max=0.6)
+    assert own == replace(found, current_max=0.6)

@@ -16,7 +16,6 @@ import pytest
 from deltacharger.msg import ChargerPower, ServoState, TactileFrame
 from rclpy.clock import ROSClock
 from rclpy.duration import Duration
-from rclpy.serialization import serialize_message
 from rclpy.time import Time
 
 from deltacharger_core.machine import JOINTS
@@ -63,10 +62,7 @@ class Bench:
                 message = self.distort.get(kind, lambda message: message)(self._message(kind))
                 if message is None:
                     continue
-                if kind is TactileFrame:
-                    self.heard.hear_frames([serialize_message(message)])
-                else:
-                    self.heard.hear(message)
+                self.heard.hear(message)
             seen = self.heard.observation()
         return seen
 
@@ -75,6 +71,7 @@ class Bench:
             message = ServoState(name=list(JOINTS), position=[0.1, 0.2, 0.3], current=[0.4, 0.5, 0.6])
             message.velocity, message.hardware_error = [0.0] * 3, [0] * 3
             message.torque_enabled, message.valid = [True] * 3, [True] * 3
+            message.thermal_reserve, message.stray = [INF] * 3, [0] * 3
         elif kind is TactileFrame:
             message = TactileFrame(rows=10, columns=10, left=[0.0] * 99 + [9.0], right=[0.0] * 100, tared=True)
             message.sequence = self._sequence
@@ -128,28 +125,21 @@ def stamped(by: float = 0.0, **fixed: int) -> Distortion:
     return distort
 
 
-def swollen(message: Any) -> Any:
-    message.header.frame_id = "x" * 100_000
-    return stamped(sec=-1)(message)
-
-
 STAMPS: dict[str, Distortion] = {
     "before 1970": stamped(sec=-5),
     "earliest": stamped(sec=-(2**31), nanosec=2**32 - 1),
     "four seconds of nanoseconds": stamped(nanosec=4_000_000_000),
     "ahead": stamped(1.0),
     "backwards": stamped(-1.0),
-    "a hundred thousand bytes": swollen,
 }
 WRONG: dict[type[Any], dict[str, Distortion]] = {
     ServoState: {
         "two positions": rows(0, 1, names=["position"]),
         "no currents": rows(names=["current"]),
-        "no validity": rows(names=["valid"]),
-        "no torque values": rows(names=["torque_enabled"]),
+        "no reserve": rows(names=["thermal_reserve"]),
         "four of each": rows(0, 1, 2, 0),
         "other names": put(name=["a", "b", "c"]),
-        "one name twice": put(name=[JOINTS[0], JOINTS[0], JOINTS[2]]),
+        "another order": put(name=list(JOINTS[::-1])),
         "endless angles": put(position=[INF, 0.0, 0.0]),
         "impossible angles": put(position=[1e308, 0.0, 0.0]),
         "not valid": put(valid=[True, False, True]),
@@ -178,7 +168,7 @@ def test_a_wrong_message_counts_as_missing_and_affects_no_right_one(kind: type[A
     assert all(age(seen, other) < 0.02 for other in TOPICS if other is not kind)
     assert seen.angles == good.angles
     assert seen.servos_valid is (distort is not WRONG[ServoState]["not valid"])
-    assert bench.heard.refused.count >= 50 or not seen.servos_valid
+    assert bench.heard.refused >= 50 or not seen.servos_valid
     turns = iter(range(1000))
     bench.distort[kind] = lambda message: distort(message) if next(turns) % 2 else message
     assert all(age(bench.run(TICK), kind) < 0.03 for _ in range(20)), "every second one is right"
@@ -199,13 +189,6 @@ def test_values_are_handed_on_as_measured() -> None:
     assert all(map(math.isnan, (*seen.currents, seen.thermal_reserve, seen.charge_current, seen.battery_voltage)))
     assert (seen.hardware_error, seen.power_fault) == (36, 200)
     assert (seen.tactile_contact, seen.tared) == (False, False)
-
-
-def test_servos_in_another_order_are_sorted() -> None:
-    bench = Bench()
-    bench.distort[ServoState] = rows(2, 0, 1)
-    seen = bench.run(0.1)
-    assert (seen.angles, seen.currents) == ((0.1, 0.2, 0.3), (0.4, 0.5, 0.6))
 
 
 @pytest.mark.parametrize("kind", TOPICS)
@@ -267,7 +250,7 @@ def test_a_step_of_the_computers_clock_makes_no_message_old_or_fresh_and_is_told
     assert max(age(seen, kind) for kind in TOPICS) < TICK + 1e-3
     bench.distort = {}
     assert all(age(bench.run(TICK), kind) < 1e-3 for kind in TOPICS)
-    assert not bench.heard.refused.count
+    assert not bench.heard.refused
     assert f"set {'forward' if step > 0.0 else 'back'} by {abs(step):.1f} s" in seen.clock_problem
     bench.distort = dict.fromkeys(TOPICS, lambda message: None)
     assert min(age(bench.run(0.4), kind) for kind in TOPICS) == pytest.approx(0.4, abs=0.02)

@@ -107,8 +107,8 @@ class Judge:
         assert observation.tactile_contact
         assert contact_current >= CONTACT_LOST_CURRENT
         assert observation.servo_age <= LIMITS.live_servo_age_max
-        assert observation.tactile_age <= LIMITS.tactile_age_max
-        assert observation.power_age <= LIMITS.power_age_max
+        assert observation.tactile_age <= LIMITS.age_max
+        assert observation.power_age <= LIMITS.age_max
         assert LIMITS.battery_voltage_start <= observation.battery_voltage <= LIMITS.battery_voltage_max
         assert self.probed, "a good probe after the last motion"
         assert self.passed, "the last estimate before it leaves clearance"

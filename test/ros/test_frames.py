@@ -146,14 +146,14 @@ def test_without_tf2_ros_parameters_are_used_and_other_frames_refused_by_name(
 def test_a_goal_in_map_is_the_same_goal_in_charger_base(robot: Robot, make: Make) -> None:
     frames, source = make(), random.Random(23)
     target: Pose = (0.004, -0.01, 0.08, 0.0, math.sin(0.02), 0.0, math.cos(0.02))
-    expected = electrodes(stamped(target, "charger_base"), DockingNodeParameters())
+    expected = electrodes(stamped(target, "charger_base"))
     assert expected is not None
     for number in range(5):
         place, odom = drawn(source), drawn(source)
         robot.move(("map", f"odom_{number}", odom), (f"odom_{number}", "base_link", place))
         await_frames(frames, f"odom_{number}")
         in_map = stamped(composed(composed(composed(odom, place), MOUNT), target), "map")
-        found = electrodes(in_map, DockingNodeParameters(), frames.charger_base_in("map"))
+        found = electrodes(in_map, frames.charger_base_in("map"))
         assert found is not None
         assert (*found.position, found.roll, found.yaw, found.pitch) == pytest.approx(
             (*expected.position, expected.roll, expected.yaw, expected.pitch), abs=EXACT

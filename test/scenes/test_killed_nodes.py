@@ -44,7 +44,7 @@ ENDS = {
 }
 CELLS = [(name, number, phase) for phase in PHASES for name in NODES for number in (KILL, STOP)]
 CELLS += [("mock_detector_node", number, "locate") for number in (KILL, STOP)]
-AGES = dict.fromkeys(("servo_age_max", "tactile_age_max", "power_age_max"), OLDEST)
+AGES = {"age_max": OLDEST}
 SLOW = {  # quick, but a phase still lasts when it has been published; the target is aside, so that the arm must align
     "nodes": [*NODES, "mock_detector_node"],
     "simulation": {"seed": 1, "rig_seed": 1, "world": {"target": {"x": 10e-3, "y": 10e-3}}},
