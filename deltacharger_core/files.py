@@ -218,13 +218,6 @@ def flush(file: IO[Any]) -> None:
     _sync(file.fileno())
 
 
-def make_folder(path: Path) -> None:
-    """Create a folder if missing, safe against a power cut."""
-    if not path.is_dir():
-        path.mkdir()
-        sync_folder(path.absolute().parent)
-
-
 def remove_unfinished(folder: Path) -> None:
     """Remove unfinished files of killed processes from `folder`."""
     for path in folder.glob(f"{_UNFINISHED}*"):

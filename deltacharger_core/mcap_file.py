@@ -128,18 +128,6 @@ class McapFile:
             elif kind == "Message" and record.channel_id in names:
                 yield Raw(names[record.channel_id], record.log_time, record.publish_time, record.data)
 
-    def attachment(self, name: str) -> bytes:
-        """Return the attachment with this name.
-
-        Raises:
-            DamagedRecording: the file is damaged before it.
-            KeyError: there is none.
-        """
-        for record in _walk(self.path):
-            if type(record).__name__ == "Attachment" and record.name == name:
-                return bytes(record.data)
-        raise KeyError(name)
-
     def _read_index(self) -> bool:
         """Read the index at the end of a complete file; return whether it is complete."""
         from mcap.reader import SeekingReader

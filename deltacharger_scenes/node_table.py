@@ -24,7 +24,6 @@ class NodeSpec:
         named: its parameter that lists names, and the class that declares the parameters of each, with its module.
         port: the scene's port for its parameter `port` ("servo", "board" or "" for none).
         stands_in_for: the node whose topics and services it provides, if it is a mock or a simulation.
-        plays: the nodes whose topics it publishes from a recording; they cannot run beside it.
         sees_target: whether it simulates a camera that sees the target. In a simulated scene it uses the world's
             target; it never runs beside real hardware.
         takes_scene_name: whether its parameter `scene` is the scene's name.
@@ -38,7 +37,6 @@ class NodeSpec:
     named: tuple[str, str] = ("", "")
     port: str = ""
     stands_in_for: str = ""
-    plays: tuple[str, ...] = ()
     sees_target: bool = False
     takes_scene_name: bool = False
     may_restart: bool = False
@@ -48,10 +46,6 @@ class NodeSpec:
     def module(self) -> str:
         """Module with its class and its main."""
         return self.path.rpartition(".")[0]
-
-    def replaces(self, name: str) -> bool:
-        """Return whether it serves the names of another node."""
-        return name == self.stands_in_for or name in self.plays
 
 
 _GEOMETRY = "deltacharger_kinematics.parameters.GeometryFileParameters"
@@ -139,11 +133,6 @@ NODES: dict[str, NodeSpec] = {
         takes_scene_name=True,
         may_restart=True,
         lacks="dockings leave no record, unless --record asks for them",
-    ),
-    "recording_player_node": NodeSpec(
-        "deltacharger_records.recording.recording_player_node.RecordingPlayerNode",
-        parameters=("deltacharger_records.parameters.RecordingPlayerNodeParameters",),
-        plays=("servo_node", "tactile_node", "kinematics_node", "electrode_detector_node", "docking_node"),
     ),
     "mock_navigator_node": NodeSpec(
         "deltacharger_scenes.mocks.mock_navigator_node.MockNavigatorNode",

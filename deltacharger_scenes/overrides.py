@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Changes of a scene by command line or launch file: ports, camera, model, recording, prefixes, recorder.
+"""Changes of a scene by command line or launch file: ports, camera, model, prefixes, recorder.
 
 Every argument is text; empty keeps the scene's value. Arguments that do not fit the scene or name missing files are
 refused before anything starts.
@@ -75,7 +75,6 @@ class Overrides:
         "", "source of electrode poses: oak = an OAK-D, topics = a camera with its own driver, none = no camera"
     )
     model: str = words("", "pose model (npz) of misalignment_node")
-    recording: str = words("", "file to replay")
     frame_prefix: str = words("", "prefix of every frame name of the charger, as robot_state_publisher's parameter")
     joint_prefix: str = words("", "prefix of the names in joint_states: the prefix of the URDF's macro")
     record: str = words("", "keep a record of each docking in this folder; true = default folder, false = none")
@@ -90,8 +89,7 @@ def override(scene: Scene, arguments: Overrides) -> Scene:
     scene = _with_camera(scene, arguments.camera)
     for port in ("servo", "board"):
         scene = _with_port(scene, port, getattr(arguments, f"{port}_port"))
-    scene = _with_file(scene, "model", arguments.model, "misalignment_node", "model")
-    scene = _with_file(scene, "recording", arguments.recording, "recording_player_node", "file")
+    scene = _with_model(scene, arguments.model)
     return _with_prefixes(_with_record(scene, arguments.record), arguments)
 
 
@@ -121,24 +119,22 @@ def _with_camera(scene: Scene, camera: str) -> Scene:
     if camera not in CAMERAS:
         raise SceneError(scene.file, "camera", f"is '{camera}': give {', '.join(CAMERAS)}, or leave it out")
     wanted = {"oak": _SEEING, "topics": _SEEING[1:], "none": ()}[camera]
-    for name in scene.nodes:
-        if set(NODES[name].plays) & set(wanted):
-            raise SceneError(scene.file, "camera", f"'{name}' plays recorded detections: leave it out")
     gone = {name for name in scene.nodes if {name, NODES[name].stands_in_for} & set(_SEEING)} - set(wanted)
     scene = _without(scene, gone)
     nodes = (*scene.nodes, *(name for name in wanted if name not in scene.nodes))
     return dataclasses.replace(scene, nodes=nodes)
 
 
-def _with_file(scene: Scene, key: str, file: str, node: str, parameter: str) -> Scene:
+def _with_model(scene: Scene, file: str) -> Scene:
     if not file:
         return scene
-    if node not in scene.nodes:
-        raise SceneError(scene.file, key, f"this scene starts no {node}: leave it out, or choose a scene with one")
+    if "misalignment_node" not in scene.nodes:
+        problem = "this scene starts no misalignment_node: leave it out, or choose a scene with one"
+        raise SceneError(scene.file, "model", problem)
     path = given_path(file).absolute()
     if not path.exists():
-        raise SceneError(scene.file, key, f"'{file}': there is no such file")
-    return _with_parameter(scene, node, parameter, str(path))
+        raise SceneError(scene.file, "model", f"'{file}': there is no such file")
+    return _with_parameter(scene, "misalignment_node", "model", str(path))
 
 
 def _with_prefixes(scene: Scene, arguments: Overrides) -> Scene:

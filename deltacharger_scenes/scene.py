@@ -228,9 +228,8 @@ class Scene(SceneContent):
 
 
 def packaged_scenes() -> dict[str, Path]:
-    """Return the file of every packaged scene by name; a file of the source tree takes precedence over an installed."""
-    folders = environment.config("scenes")
-    return {path.stem: path for folder in reversed(folders) for path in sorted(folder.glob("*.yaml"))}
+    """Return the file of every packaged scene by name: of the source tree if this is one, else of the installation."""
+    return {path.stem: path for folder in environment.config("scenes")[:1] for path in sorted(folder.glob("*.yaml"))}
 
 
 def find_file(name_or_file: str | Path, packaged: Mapping[str, Path], kind: str = "scene") -> Path:
@@ -325,13 +324,8 @@ def _nodes(scene: Scene) -> Problems:
         if name in scene.nodes[:index]:
             yield key, f"'{name}' is listed twice"
         for other in scene.nodes:
-            if other in NODES and (NODES[name].replaces(other) or _are_doubles(name, other)):
+            if other in NODES and (NODES[name].stands_in_for == other):
                 yield key, f"'{name}' and '{other}' serve the same names: keep one of them"
-
-
-def _are_doubles(name: str, other: str) -> bool:
-    """Return whether one plays what the other replaces."""
-    return bool(NODES[other].stands_in_for) and NODES[other].stands_in_for in NODES[name].plays
 
 
 def _simulation(scene: Scene) -> Problems:

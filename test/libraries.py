@@ -11,7 +11,6 @@ _OF: dict[str, tuple[str, ...]] = {
     "simulated_camera_node": ("cv2",),
     "electrode_detector_node": ("cv2", "tf2_ros"),
     "docking_recorder_node": ("lz4", "mcap", "zstandard"),
-    "recording_player_node": ("lz4", "mcap", "zstandard"),
     "mock_navigator_node": ("nav2_msgs", "tf2_ros"),
     "docking_node": ("tf2_ros",),
     "mission_node": ("nav2_msgs", "tf2_ros"),

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import ipaddress
 import math
 import os
 import re
@@ -12,7 +11,6 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
-from urllib.parse import urlsplit
 
 from deltacharger_bringup.cli.output import (
     FAILED,
@@ -24,7 +22,6 @@ from deltacharger_bringup.cli.output import (
     print_text,
     show,
 )
-from deltacharger_bringup.cli.web_viewer import WebAddress
 from deltacharger_core import streams
 from deltacharger_core.environment import package_version
 from deltacharger_core.texts import ON_ROBOT
@@ -153,20 +150,6 @@ def namespace(text: str) -> str:
     if name and not all(part.isidentifier() and part.isascii() for part in name.split("/")):
         raise argparse.ArgumentTypeError(f"'{text}' is not a ROS namespace; use letters, digits and _")
     return name
-
-
-def web_address(text: str) -> WebAddress:
-    """Return an address of this computer, ADDRESS or ADDRESS:PORT."""
-    try:
-        parts = urlsplit(f"//{text}")
-        address = WebAddress(str(ipaddress.ip_address(parts.hostname or "")), parts.port or WebAddress.port)
-        if parts.port == 0 or address.port > 65534:
-            raise ValueError
-        return address
-    except ValueError:
-        raise argparse.ArgumentTypeError(
-            f"'{text}' is not an IP address with or without a port, such as 0.0.0.0 or 127.0.0.1:9090"
-        ) from None
 
 
 NOT_NEGATIVE = between(0.0, 2e9)  # range of a Duration's seconds

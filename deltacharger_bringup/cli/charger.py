@@ -212,7 +212,6 @@ def add_up(parser: argparse.ArgumentParser) -> None:
     scene_option(parser)
     namespace_option(parser)
     record_option(parser)
-    add("--recording", metavar="FILE", help="recording that the scene plays (without --scene: scene replay plays it)")
     add("--servo-port", default="", metavar="PORT", help="port of the servos, instead of the scene's")
     add("--board-port", default="", metavar="PORT", help="port of the board, instead of the scene's")
     text = "source of images, instead of the scene's: an OAK-D, image topics of another driver, or none"
@@ -224,8 +223,6 @@ def add_up(parser: argparse.ArgumentParser) -> None:
 
 def up(options: argparse.Namespace) -> Result:
     """Run a scene's charger until a signal."""
-    if options.recording and options.scene is None:
-        options.scene = "replay"
     scene = _with_options(prepare(options), options)
     if scene.docks and (slow := real_time.take_priority()):
         log_line(slow)

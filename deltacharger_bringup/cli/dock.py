@@ -44,7 +44,7 @@ from deltacharger_core.texts import figure
 from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, Progress, place
 
 if TYPE_CHECKING:
-    from deltacharger_records.replay.recorder import Recorder
+    from deltacharger_records.replay.record import Recorder
     from deltacharger_ros.client import ChargerClient
     from deltacharger_scenes.composition import Composition
     from deltacharger_scenes.scene import Scene
@@ -137,7 +137,7 @@ def dock(options: argparse.Namespace) -> Result:
     require_docking(scene)
     request = dock_request(options, scene)
     with Interrupts() as interrupts, ros_context() as context, contextlib.ExitStack() as stack:
-        from deltacharger_records.replay.recorder import Recorder
+        from deltacharger_records.replay.record import Recorder
         from deltacharger_ros.client import ChargerClient
         from deltacharger_scenes.overrides import RECORDER, recorder_alone, with_recorder
 

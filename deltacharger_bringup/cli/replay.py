@@ -19,7 +19,7 @@ from deltacharger_bringup.cli.output import (
 )
 from deltacharger_core import environment, streams
 from deltacharger_core.mcap_file import BAGS, McapFile, RecordingError
-from deltacharger_records.recording.folder import ABOUT, END, PARTIAL, problem_of
+from deltacharger_records.recording.folder import ABOUT, END, PARTIAL
 
 _STATE = "deltacharger/msg/DockingState"
 
@@ -78,20 +78,19 @@ def _folder(options: argparse.Namespace, folder: Path) -> Result:
             lines.append(f"{name}: {streams.plain(entry['problem'])}")
             continue
         size = entry["bytes"] / 1e6
-        alone = f"; the recorder does not manage it: {entry['left_alone']}" if entry["left_alone"] else ""
         lines.append(
             f"{_when(round(entry['time'] * 1e9))}  {entry['duration']:9.1f} s  {size:7.2f} MB  "
-            f"{entry['outcome'] or '–':<22} {streams.plain(entry['request_id']) or '–'}  ({name}{alone})"
+            f"{entry['outcome'] or '–':<22} {streams.plain(entry['request_id']) or '–'}  ({name})"
         )
     details = {"folder": str(folder), "records": entries}
     return Result("\n".join(lines), details, remarks=() if entries else [f"{folder}: no records"])
 
 
 def _entry(path: Path) -> dict[str, Any]:
-    entry: dict[str, Any] = {"file": path.name, "bytes": 0, "problem": "", "left_alone": ""}
+    entry: dict[str, Any] = {"file": path.name, "bytes": 0, "problem": ""}
     nothing = {"time": math.nan, "duration": math.nan, "outcome": "", "request_id": ""}
     try:
-        entry |= {"bytes": path.stat().st_size, "left_alone": problem_of(path)}
+        entry["bytes"] = path.stat().st_size
         file = McapFile(path)
         states = [topic for topic, kind in file.types.items() if kind == _STATE]
         if not any(file.counts[topic] for topic in states):

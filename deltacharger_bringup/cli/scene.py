@@ -89,7 +89,7 @@ def _explained(scene: Scene, report: dict[str, Any], everything: bool) -> Iterat
 
 def _has(scene: Scene, name: str) -> bool:
     """Return whether a scene starts a node or one that replaces it."""
-    return any(each == name or NODES[each].replaces(name) for each in scene.nodes)
+    return any(each == name or NODES[each].stands_in_for == name for each in scene.nodes)
 
 
 def describe(scene: Scene) -> Iterator[dict[str, Any]]:
@@ -139,8 +139,6 @@ def _data(value: Any) -> Any:
 def _kind(scene: Scene) -> str:
     if scene.simulation is not None:
         return "simulated"
-    if any(NODES[name].plays for name in scene.nodes):
-        return "recording"
     return "hardware" if scene.touches_hardware else "mocks"
 
 

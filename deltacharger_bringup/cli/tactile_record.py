@@ -6,16 +6,13 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from deltacharger_bringup.cli.arguments import MILLIMETRES, SEED, between, file_to_write, integer, namespace_option
 from deltacharger_bringup.cli.charger import DISCOVERY, prepare, ros_context
 from deltacharger_bringup.cli.output import (
-    FAILED,
     INTERRUPTED,
-    WRONG_INPUT,
     CommandError,
     Interrupts,
     Result,
@@ -42,7 +39,7 @@ _FRAME = 1.0 / 120.0  # s
 def add_record(parser: argparse.ArgumentParser) -> None:
     """Add the options of `tactile record`."""
     add = parser.add_argument
-    add("--out", required=True, metavar="F.npz", help="data set, written from the folder F.recording")
+    add("--out", required=True, metavar="F.npz", help="data set, continued if it exists")
     add("--set", choices=SETS, required=True, help="the paper's sets, dockings at zero, or random offsets up to 12 mm")
     add("--angle-deg", type=between(-20.0, 20.0), metavar="DEG", help="angle of the target (sets angle and sweep)")
     text = "dockings per offset (position: 20) or in total (angle: 100, reference: 10, sweep: 100)"
@@ -66,41 +63,25 @@ def add_record(parser: argparse.ArgumentParser) -> None:
 
 
 def record(options: argparse.Namespace) -> Result:
-    """Record the missing dockings of a set, and compose the data set from all."""
+    """Record the missing dockings of a set."""
     out, part = file_to_write("--out", options.out, ".npz"), _part(options)
     environment.prepare()
-    with _refusing():
-        from deltacharger_core.mcap_file import require_mcap
-        from deltacharger_records.datasets.journal import Journal, Settings
+    from deltacharger_records.datasets.journal import Journal, Mismatch, Settings
+    from deltacharger_tactile.errors import DatasetError
 
-        require_mcap()
-        with Journal(out) as journal:
-            shared = ("rig", "sensor", "frames", "rows", "threshold", "dwell_s")
-            recording = _Recording(journal, part, Settings(**{name: getattr(options, name) for name in shared}))
-            if recording.left():
-                try:
-                    recording.record(options)
-                except CommandError as error:
-                    journal.compose()
-                    count = recording.count
-                    kept = f"; {out} contains the {count} dockings of this call" if count else ""
-                    details = {**error.details, **recording.summary()}
-                    raise CommandError(f"{error}{kept}", error.exit_code, **details) from error
-            return recording.result()
-
-
-@contextmanager
-def _refusing() -> Iterator[None]:
-    """Turn errors of the files into CommandError."""
-    try:
-        from deltacharger_core.mcap_file import RecordingError
-        from deltacharger_records.datasets.journal import Mismatch
-    except ImportError as error:
-        raise CommandError(f"{error.name} is missing: install the package or source its workspace") from error
-    try:
-        yield
-    except RecordingError as error:
-        raise CommandError(str(error), WRONG_INPUT if isinstance(error, Mismatch) else FAILED) from error
+    shared = ("rig", "sensor", "frames", "rows", "threshold", "dwell_s")
+    with wrong_input(Mismatch, DatasetError, file=options.out):
+        journal = Journal(out)
+        recording = _Recording(journal, part, Settings(**{name: getattr(options, name) for name in shared}))
+        if recording.left():
+            try:
+                recording.record(options)
+            except CommandError as error:
+                count = recording.count
+                kept = f"; {out} contains the {count} dockings of this call" if count else ""
+                details = {**error.details, **recording.summary()}
+                raise CommandError(f"{error}{kept}", error.exit_code, **details) from error
+    return recording.result()
 
 
 def _part(options: argparse.Namespace) -> Part:
@@ -158,21 +139,18 @@ class _Recording:
             "out": str(self._journal.out),
             "recorded": self.count,
             "remaining": len(self.left()),
-            "dockings": len(self._journal.dockings),
+            "dockings": self._journal.dockings,
             "simulated": None if settings is None else settings.simulated,
         }
 
     def result(self) -> Result:
-        """Compose the data set and return its size."""
+        """Return the size of the data set."""
         journal = self._journal
-        data = journal.compose()
-        assert data is not None
-        assert journal.settings is not None
-        kind = "simulated " if journal.settings.simulated else ""
-        lines = [f"{journal.out}: {len(data)} rows of {len(journal.dockings)} {kind}dockings"]
-        for name, each in journal.parts.items():
-            lines.append(f"  {name:<12} {len(journal.done(each))} of {len(each.poses())}")
-        return Result("\n".join(lines), {**self.summary(), "n": len(data)})
+        rows = 0 if journal.data is None else len(journal.data)
+        kind = "simulated " if journal.data is not None and journal.data.simulated else ""
+        lines = [f"{journal.out}: {rows} rows of {journal.dockings} {kind}dockings"]
+        lines += [f"  {name:<12} {done} of {total}" for name, (done, total) in journal.parts().items()]
+        return Result("\n".join(lines), {**self.summary(), "n": rows})
 
     def record(self, options: argparse.Namespace) -> None:
         """Connect to the charger and make the missing dockings.
@@ -185,25 +163,18 @@ class _Recording:
             from deltacharger_records.datasets.arm_client import ArmError
             from deltacharger_records.datasets.charger import RecordingCharger
 
-            journal, begun = self._journal, False
             charger = RecordingCharger(context, options.namespace, interrupts.event)
             try:
                 with charger:
                     charger.wait_until_ready(DISCOVERY)
                     self._settings = dataclasses.replace(self._settings, simulated=charger.simulated())
-                    journal.check(self._part, self._settings)
+                    self._journal.check(self._part, self._settings)
                     machine = self._machine(charger)
-                    if charger.claim(journal.driver()):
-                        log_line("the last call was killed while it moved the arm; taking over")
-                    journal.set_driver(charger.name)
-                    begun = True
+                    charger.claim()
                     self._announce()
                     self._run(charger, machine, options.tare_every, interrupts)
             except ArmError as error:
                 raise CommandError(str(error), interrupts.failure) from error
-            finally:
-                if begun and not charger.is_driving:
-                    journal.set_driver("")
 
     def _commands(self) -> list[Vector]:
         """Return the docking position of each pose: the position of the target minus the offset."""
@@ -225,8 +196,7 @@ class _Recording:
     def _announce(self) -> None:
         part, left, total = self._part, len(self.left()), len(self._poses)
         if left < total:
-            folder = self._journal.folder
-            log_line(f"{folder} contains {total - left} of {total} dockings already; recording the others")
+            log_line(f"{self._journal.out} contains {total - left} of {total} dockings already; recording the others")
         turned = f", turned by {part.angle_deg:g}° (from +x to +y)" if part.set in TILTED else ", level"
         log_line(f"{left} dockings; target at ({part.x_mm:g}, {part.y_mm:g}, {part.z_mm:g}) mm{turned}")
         log_line("keep clear: the arm moves now")
@@ -237,7 +207,7 @@ class _Recording:
         self.count += 1
         left, total = len(self.left()), len(self._poses)
         minutes = (time.monotonic() - self._began) / self.count * left / 60.0
-        place = f"({1e3 * docking.horizontal:+.1f}, {1e3 * docking.vertical:+.1f}) mm"
+        place = f"({1e3 * docking.pose.horizontal:+.1f}, {1e3 * docking.pose.vertical:+.1f}) mm"
         log_line(f"{total - left} of {total}  {place}  {docking.current:.3f} A  {minutes:.0f} min left")
 
     def _run(self, charger: RecordingCharger, machine: DockingMachine, size: int, interrupts: Interrupts) -> None:
@@ -274,9 +244,7 @@ class _Recording:
         from deltacharger_records.datasets.session import NotKept, TouchSession
 
         settings, commands = self._settings, self._commands()
-        keeper = SessionKeeper(
-            self._journal, self._part, settings, numbers, charger.tape, charger.names, charger.now, self._report
-        )
+        keeper = SessionKeeper(charger, self._journal, self._part, settings, numbers, self._report)
         places, holding = [commands[number] for number in numbers], settings.frames * settings.rows * _FRAME
         try:
             return charger.run(machine, TouchSession(places, settings.dwell_s, holding, keeper))

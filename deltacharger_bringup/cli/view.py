@@ -1,18 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger view`: show a live or recorded charger in Rerun, on a screen, in a browser or in a file."""
+"""`deltacharger view`: show a live or recorded charger in Rerun, on a screen, in a browser or in a file.
+
+Rerun's web viewer runs in a separate process: the page at one port, the data at the next.
+"""
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import ipaddress
 import os
+import signal
+import socket
+import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +33,6 @@ from deltacharger_bringup.cli.arguments import (
     file_to_read,
     file_to_write,
     namespace_option,
-    web_address,
 )
 from deltacharger_bringup.cli.charger import prepare, ros_context
 from deltacharger_bringup.cli.output import (
@@ -37,7 +46,6 @@ from deltacharger_bringup.cli.output import (
     wrong_input,
 )
 from deltacharger_bringup.cli.scene import load_for_command
-from deltacharger_bringup.cli.web_viewer import WebAddress, WebViewer
 from deltacharger_core import environment
 from deltacharger_core.files import given_path
 from deltacharger_docking.parameters import DockingParameters
@@ -46,14 +54,55 @@ from deltacharger_scenes.scene import Scene
 from deltacharger_vision.mount import Mount
 
 if TYPE_CHECKING:
-    from deltacharger_records.view.animation import Animation
     from deltacharger_records.view.feed import ViewFeed
 
 Settings = tuple[DockingParameters, DeltaGeometry]
 _SILENT_AFTER = 5.0  # s; after a missed announcement of a topic the next comes 3 s later
 _PERIOD = 1.0 / 30.0  # s between two readings of the topics
 _FLUSH = 10.0  # s for pending data to reach the viewer
+_START, _STOP = 10.0, 5.0  # s for the web viewer to open its ports, and to end after SIGTERM
 _EXTRA = "install deltacharger[view], or `pip install 'rerun-sdk>=0.39'`"
+
+
+@dataclass(frozen=True)
+class WebAddress:
+    """Address of the web viewer: an IPv4 address of this computer and the port of the page; the data use the next."""
+
+    host: str = "127.0.0.1"
+    port: int = 9090
+
+    @property
+    def local(self) -> str:
+        """The address for this computer."""
+        return "127.0.0.1" if self.host == "0.0.0.0" else self.host
+
+    @property
+    def reachable(self) -> str:
+        """Host name for a browser: the name of this computer if the viewer uses all its addresses."""
+        return socket.gethostname() if self.host == "0.0.0.0" else self.host
+
+    @property
+    def sink(self) -> str:
+        """URL to which this computer sends the data."""
+        return f"rerun+http://{self.local}:{self.port + 1}/proxy"
+
+    @property
+    def page(self) -> str:
+        """URL for a browser."""
+        data = f"rerun+http://{self.reachable}:{self.port + 1}/proxy"
+        return f"http://{self.reachable}:{self.port}/?url={quote(data, safe='')}"
+
+
+def web_address(text: str) -> WebAddress:
+    """Return an address of this computer, ADDRESS or ADDRESS:PORT."""
+    host, _, port = text.partition(":")
+    try:
+        address = WebAddress(str(ipaddress.IPv4Address(host)), int(port or WebAddress.port))
+    except ValueError:
+        address = WebAddress(port=0)
+    if not 0 < address.port < 65535:
+        raise argparse.ArgumentTypeError(f"'{text}': give an IPv4 address with or without a port, such as 0.0.0.0:9090")
+    return address
 
 
 def add_view(parser: argparse.ArgumentParser) -> None:
@@ -63,8 +112,7 @@ def add_view(parser: argparse.ArgumentParser) -> None:
         "--scene", metavar="NAME|FILE", help="scene with geometry and camera mount to draw (default: nominal ones)"
     )
     where = parser.add_mutually_exclusive_group()
-    text = "write a file or an animated picture instead of opening a window"
-    where.add_argument("--save", metavar="FILE.rrd|FILE.gif", help=text)
+    where.add_argument("--save", metavar="FILE.rrd", help="write a file instead of opening a window")
     where.add_argument(
         "--web",
         metavar="ADDRESS[:PORT]",
@@ -73,7 +121,6 @@ def add_view(parser: argparse.ArgumentParser) -> None:
         const=WebAddress(),
         help="serve it to a browser (default: 127.0.0.1:9090); the data use the next port",
     )
-    where.add_argument("--connect", metavar="URL", help="show it in a running viewer, rerun+http://HOST:9876/proxy")
     parser.add_argument("--camera", action="store_true", help="also subscribe to and show the image, at 5 Hz")
     parser.add_argument(
         "--stop-after-s", type=NOT_NEGATIVE, default=0.0, metavar="S", help="show it for this time (until Ctrl-C)"
@@ -83,16 +130,14 @@ def add_view(parser: argparse.ArgumentParser) -> None:
 
 def view(options: argparse.Namespace) -> Result:
     """Show a running charger until an interruption, or a recording."""
-    rr = None if _is_animation(options) else _rerun()
+    rr = _rerun()
     _check_places(options)
-    with contextlib.ExitStack() as stack:
-        if options.web is not None:
-            stack.enter_context(WebViewer(_program(), options.web))
-            options.connect = options.web.sink
-            log_line(f"open {options.web.page}")
-        if options.recording is None:
-            return _show_charger(rr, options)
-        return _show_recording(rr, options)
+    show = _show_charger if options.recording is None else _show_recording
+    if options.web is None:
+        return show(rr, options)
+    with _serving(options.web):
+        log_line(f"open {options.web.page}")
+        return show(rr, options)
 
 
 def _rerun() -> Any:
@@ -111,23 +156,15 @@ def _check_places(options: argparse.Namespace) -> None:
         file_to_read("--recording", options.recording)
     if options.recording is not None and options.stop_after_s:
         raise CommandError("--stop-after-s is for a running charger, not for --recording", WRONG_INPUT)
-    if options.connect is not None and not options.connect.startswith("rerun"):
-        raise CommandError(
-            f"--connect {options.connect}: give an address such as rerun+http://HOST:9876/proxy", WRONG_INPUT
-        )
     if options.save is not None:
-        file_to_write("--save", options.save, ".gif" if _is_animation(options) else ".rrd")
+        file_to_write("--save", options.save, ".rrd")
     has_screen = sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    if not (options.save or options.connect or options.web or has_screen):
+    if not (options.save or options.web or has_screen):
         raise CommandError(
-            "no screen found: give --web and open its page in a browser, --save FILE.rrd and open the file elsewhere "
-            "with `rerun FILE.rrd`, or --connect to a viewer on another computer",
+            "no screen found: give --web and open its page in a browser, or --save FILE.rrd and open it elsewhere with "
+            "`rerun FILE.rrd`",
             WRONG_INPUT,
         )
-
-
-def _is_animation(options: argparse.Namespace) -> bool:
-    return options.save is not None and options.save.endswith(".gif")
 
 
 def _open(
@@ -136,28 +173,22 @@ def _open(
     """Return the feed to the output that the options name, and the function that completes it.
 
     Args:
-        rr: the module rerun; None for an animated picture.
+        rr: the module rerun.
         options: of the command.
         scene: its camera is drawn, and its arm if there are no `settings`.
         settings: the charger's docking parameters and its arm.
     """
     from deltacharger_records.view.feed import ViewFeed
-
-    (parameters, geometry), camera = settings or settings_of(scene), mount_of(scene)
-    if rr is None:
-        from deltacharger_records.view.animation import Animation
-
-        animation = Animation(geometry)
-        return ViewFeed(animation, geometry, parameters), partial(_draw, animation, Path(options.save))
     from deltacharger_records.view.log import ViewLog, blueprint
 
+    (parameters, geometry), camera = settings or settings_of(scene), mount_of(scene)
     recording = rr.RecordingStream("deltacharger")
     layout = blueprint(live=options.recording is None and options.save is None)
     try:
         if options.save is not None:
             recording.save(options.save, default_blueprint=layout)
-        elif options.connect is not None:
-            recording.connect_grpc(options.connect, default_blueprint=layout)
+        elif options.web is not None:
+            recording.connect_grpc(options.web.sink, default_blueprint=layout)
         else:
             _find_viewer()
             recording.spawn(default_blueprint=layout)
@@ -166,33 +197,65 @@ def _open(
     return ViewFeed(ViewLog(rr, recording, geometry, camera), geometry, parameters), partial(_close, recording)
 
 
-def _program() -> Path:
-    """Return Rerun's executable, which is part of its package."""
+@contextlib.contextmanager
+def _serving(address: WebAddress) -> Iterator[None]:
+    """Serve the web viewer during a `with` block.
+
+    Raises:
+        CommandError: it is not installed, or cannot be served there.
+    """
     package = find_spec("rerun_cli")
     if package is None or package.origin is None:
         raise CommandError(f"Rerun's viewer is not installed: {_EXTRA}", WRONG_INPUT)
-    return Path(package.origin).with_name("rerun")
+    ports = (address.port, address.port + 1)
+    for port in ports:
+        _require_free(address, port)
+    words = ["--bind", address.host, "--port", str(ports[1]), "--web-viewer-port", str(ports[0])]
+    words += ["--cors-allow-origin", f"http://{address.reachable}:{address.port}"]
+    program = Path(package.origin).with_name("rerun")
+    with tempfile.TemporaryFile() as log:
+        process = subprocess.Popen([program, "--serve-web", *words], stdout=log, stderr=log, start_new_session=True)
+        try:
+            end = time.monotonic() + _START
+            while not all(_serves(address, port) for port in ports):
+                if process.poll() is not None or time.monotonic() > end:
+                    log.seek(0)
+                    lines = log.read().decode(errors="replace").strip().splitlines() or ["no output"]
+                    raise CommandError(f"Rerun's web viewer does not start: {lines[-1]}", FAILED)
+                time.sleep(_PERIOD)
+            yield
+        finally:
+            for number in (signal.SIGTERM, signal.SIGKILL):
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(process.pid, number)
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    process.wait(_STOP)
+                    break
+
+
+def _require_free(address: WebAddress, port: int) -> None:
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((address.host, port))
+        except OSError as error:
+            raise CommandError(
+                f"port {port} of {address.host} cannot be used ({error.strerror}): give another port, "
+                f"--web {address.host}:PORT; the data use the next port",
+                FAILED,
+            ) from error
+
+
+def _serves(address: WebAddress, port: int) -> bool:
+    with contextlib.suppress(OSError), socket.create_connection((address.local, port), timeout=1.0):
+        return True
+    return False
 
 
 def _find_viewer() -> None:
     """Let Rerun find the viewer installed with it, also if this environment is not activated."""
     beside = str(Path(sys.executable).parent)
     os.environ["PATH"] = os.pathsep.join([beside, os.environ.get("PATH", os.defpath)])
-
-
-def _draw(animation: Animation, path: Path) -> None:
-    """Write the animated picture."""
-
-    def progress(done: int, of: int) -> None:
-        if done % 40 == 0:
-            log_line(f"drew {done} of {of} pictures")
-
-    try:
-        animation.save(path, progress)
-    except ImportError as error:
-        raise CommandError(f"{error.name} is not installed; install deltacharger[picture]", WRONG_INPUT) from error
-    except (OSError, ValueError) as error:
-        raise CommandError(f"cannot draw {path}: {error}", FAILED) from error
 
 
 def _close(recording: Any) -> None:
@@ -299,10 +362,10 @@ def _report(
 ) -> Result:
     """Return what was shown."""
     counts = dict(sorted(feed.counts.items()))
-    place = options.save or (options.web.page if options.web else options.connect)
+    place = options.save or (options.web.page if options.web else "")
     total = f"{sum(counts.values())} messages of {len(counts)} topics"
     remarks = [f"{total} in {took:.1f} s{f'; {place}' if place else ''}"]
-    if options.save is not None and not _is_animation(options):
+    if options.save is not None:
         remarks.append(f"open it with: rerun {options.save}")
     details = {"success": True, "saved": options.save, "messages": counts, "silent": list(silent), "elapsed": took}
     return Result("", details, interrupts.exit_code(DONE), remarks)

@@ -20,10 +20,8 @@ import numpy as np
 from deltacharger.msg import TactileFrame
 from numpy.typing import NDArray
 from rclpy.context import Context
-from rclpy.serialization import deserialize_message
 from std_srvs.srv import Trigger
 
-from deltacharger_core.mcap_file import Raw, RecordingError
 from deltacharger_docking.codes import TactileStale
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import Command, DockingOutcome, Observation, Request, Service
@@ -36,15 +34,10 @@ from deltacharger_records.datasets.arm_client import ArmError, ArmGuest
 from deltacharger_records.datasets.journal import Docking, Journal, Settings
 from deltacharger_records.datasets.session import NotKept, Part, Rested, TouchSession
 from deltacharger_records.node_parameters import docking_settings
-from deltacharger_records.raw_topics import listen
-from deltacharger_records.recording import mcap_recording
 from deltacharger_ros.clock import before_now
 from deltacharger_ros.log import Log
-from deltacharger_ros.qos import SERVICE
+from deltacharger_ros.qos import SENSOR, SERVICE
 
-_RECORDED = ("tactile_frame", "servo_state", "charger_power", mcap_recording.STATE)
-TOPICS = tuple(topic for topic in mcap_recording.TOPICS if topic.name in _RECORDED)
-"""Topics recorded of each docking, as received."""
 _SIDE = 10  # taxels
 _TICK = 0.02  # s; loop period while servo_state is missing
 _ANSWER = 5.0  # s for a service
@@ -54,124 +47,64 @@ _UNKNOWN = "_NODE_NAME_UNKNOWN_"
 _TERMINALS = "/dev/pts/"
 
 
-class Tape:
-    """Collects the messages of one docking at a time. `take` may be called from any thread.
-
-    Args:
-        latched: topic that publishes changes only; its last message before a docking belongs to it.
-    """
-
-    def __init__(self, latched: str) -> None:
-        self.messages: list[Raw] = []
-        self._latched = latched
-        self._last: Raw | None = None
-        self._rolling = False
-        self._lock = threading.Lock()
-
-    def take(self, message: Raw) -> None:
-        """Append a message during a docking."""
-        with self._lock:
-            if message.topic == self._latched:
-                self._last = message
-            if self._rolling:
-                self.messages.append(message)
-
-    def start(self) -> None:
-        """Begin a docking."""
-        with self._lock:
-            self.messages = [] if self._last is None else [self._last]
-            self._rolling = True
-
-    def stop(self) -> list[Raw]:
-        """Return the messages since `start`."""
-        with self._lock:
-            self._rolling = False
-            return self.messages
-
-
 class SessionKeeper:
     """A `Keeper` that writes the dockings of one session into a journal.
 
     Args:
+        charger: that makes the dockings.
         journal: to write into.
         part: of the recording.
         settings: as passed to the journal's `check`.
         numbers: of the part's poses, in the session's order.
-        tape: that receives the topics.
-        names: full name of each topic by its relative one.
-        now: the ROS clock, ns.
         report: called with each docking after it is on the disk.
-
-    Attributes:
-        count: dockings on the disk.
     """
 
     def __init__(
         self,
+        charger: RecordingCharger,
         journal: Journal,
         part: Part,
         settings: Settings,
         numbers: Sequence[int],
-        tape: Tape,
-        names: dict[str, str],
-        now: Callable[[], int],
         report: Callable[[Docking], None],
     ) -> None:
-        self.count = 0
-        self._journal, self._part, self._settings = journal, part, settings
-        self._numbers, self._poses = numbers, part.poses()
-        self._tape, self._now, self._report = tape, now, report
-        self._tactile = names["tactile_frame"]
-        self._topics = {names[topic.name]: topic for topic in TOPICS}
+        self._charger, self._journal, self._part, self._settings = charger, journal, part, settings
+        self._numbers, self._poses, self._report = numbers, part.poses(), report
         self._session = journal.next_session
         self._number = 0
-        self._since = 0
-        self._looked = 0
         self._frames: list[NDArray[np.float32]] = []
         self._writer = ThreadPoolExecutor(1, "writer")
         self._writing: Future[Docking] | None = None
 
     def begin(self, number: int) -> None:
-        """Start the tape."""
+        """Note which docking begins."""
         self._number = self._numbers[number]
-        self._tape.start()
 
     def start_frames(self) -> None:
         """Count only frames sampled from now on."""
-        self._since, self._looked, self._frames = self._now(), len(self._tape.messages), []
+        self._frames = []
+        self._charger.start_frames()
 
     def has_frames(self) -> bool:
         """Take the new frames; TactileStale if they are unusable."""
-        messages, wanted = self._tape.messages, self._settings.frames * self._settings.rows
-        while self._looked < len(messages) and len(self._frames) < wanted:
-            message = messages[self._looked]
-            self._looked += 1
-            if message.topic == self._tactile:
-                frame = deserialize_message(message.data, TactileFrame)
-                stamp = frame.header.stamp
-                if stamp.sec * 1_000_000_000 + stamp.nanosec > self._since:
-                    self._frames.append(_pads(frame))
-        return len(self._frames) >= wanted
+        wanted, frames = self._settings.frames * self._settings.rows, self._charger.frames
+        self._frames += [_pads(frame) for frame in frames[len(self._frames) : wanted]]
+        return len(self._frames) == wanted
 
     def keep(self, touch: Rested) -> None:
         """Write the docking in a separate thread."""
-        pose, target = self._poses[self._number], self._part.target
+        target = self._part.target
         shape = (self._settings.rows, self._settings.frames, 2, _SIDE, _SIDE)
         docking = Docking(
-            attempt=self._journal.next_attempt,
-            session=self._session,
-            part=self._part.name,
             number=self._number,
-            horizontal=pose.horizontal,
-            vertical=pose.vertical,
-            angle=pose.angle,
+            session=self._session,
+            pose=self._poses[self._number],
             x=target[0] - touch.position[0],
             y=target[1] - touch.position[1],
             current=touch.current,
-            time=time.time(),
             frames=np.stack(self._frames).reshape(shape).mean(axis=1),
         )
-        self._writing = self._writer.submit(self._write, docking, self._tape.stop())
+        self._writing = self._writer.submit(self._write, docking)
 
     def kept(self) -> bool:
         """Whether it is on the disk; NotKept if it cannot be written."""
@@ -181,11 +114,9 @@ class SessionKeeper:
             return False
         writing, self._writing = self._writing, None
         try:
-            docking = writing.result()
-        except (OSError, RecordingError) as error:
+            self._report(writing.result())
+        except OSError as error:
             raise NotKept(f"the docking cannot be written: {error}") from error
-        self.count += 1
-        self._report(docking)
         return True
 
     def close(self) -> None:
@@ -193,8 +124,8 @@ class SessionKeeper:
         self._writer.shutdown()
         self.kept()
 
-    def _write(self, docking: Docking, messages: Sequence[Raw]) -> Docking:
-        self._journal.store(docking, self._part, self._settings, self._topics, messages)
+    def _write(self, docking: Docking) -> Docking:
+        self._journal.add_docking(docking, self._part, self._settings)
         return docking
 
 
@@ -221,8 +152,7 @@ class RecordingCharger(ArmGuest):
         stop: ends a session, and every wait, when set; the arm is retracted first.
 
     Attributes:
-        tape: receives all topics of `names`.
-        names: full name of each topic by its relative one.
+        frames: the pads' frames sampled since `start_frames`.
         is_driving: whether this program may have switched the torque on.
     """
 
@@ -230,27 +160,27 @@ class RecordingCharger(ArmGuest):
         super().__init__("recording", context, namespace, stop)
         self._machine: DockingMachine | None = None
         self.is_driving = False
-        self.names = {topic.name: self.node.resolve_topic_name(topic.name) for topic in TOPICS}
-        self.tape = Tape(self.names["docking_state"])
+        self.frames: list[TactileFrame] = []
+        self._since = math.inf  # ns by the ROS clock
         self._inputs = Inputs(self.node, Log(self.node))
         self._calls = Services(self.node)
-        listen(self.node, TOPICS, self.tape.take)
+        self.node.create_subscription(TactileFrame, "tactile_frame", self._on_frame, SENSOR)
         self._tare: Any = self.node.create_client(Trigger, "tare", qos_profile=SERVICE)
         self.serve()
-
-    @property
-    def name(self) -> str:
-        """Name of the node that drives the arm."""
-        return str(self.node.get_name())
 
     @property
     def has_docking_node(self) -> bool:
         """Whether docking_state has a publisher."""
         return bool(self.node.count_publishers("docking_state"))
 
-    def now(self) -> int:
-        """The ROS clock, ns."""
-        return int(self.node.get_clock().now().nanoseconds)
+    def start_frames(self) -> None:
+        """Collect the frames sampled from now on."""
+        self.frames, self._since = [], int(self.node.get_clock().now().nanoseconds)
+
+    def _on_frame(self, message: TactileFrame) -> None:
+        stamp = message.header.stamp
+        if stamp.sec * 1_000_000_000 + stamp.nanosec > self._since:
+            self.frames.append(message)
 
     def wait_until_ready(self, timeout: float) -> None:
         """Wait for the charger's topics and services and, if docking_node runs, its state.
@@ -309,13 +239,8 @@ class RecordingCharger(ArmGuest):
                 found.append(path.startswith(_TERMINALS) if os.path.exists(path) else None)
         return True if True in found else None if None in found else False
 
-    def claim(self, previous: str) -> bool:
-        """Refuse an arm that another program moves; return whether `previous` left the torque on.
-
-        This program must then switch that torque off.
-
-        Args:
-            previous: name of the node that was killed while it drove the arm; '' = none.
+    def claim(self) -> None:
+        """Refuse an arm that another program moves.
 
         Raises:
             ArmError: docking_node is at work or docked, or another program moves the arm or switched its torque on.
@@ -328,15 +253,13 @@ class RecordingCharger(ArmGuest):
 
         self._wait(lambda: _UNKNOWN not in others(), _SETTLED)
         # Discovery lists a dead program without a name; live ones have names.
-        unwanted = others() - {"docking_node", self.name, previous, _UNKNOWN}
+        unwanted = others() - {"docking_node", self.node.get_name(), _UNKNOWN}
         if unwanted:
             raise ArmError(f"another program moves the arm ({', '.join(sorted(unwanted))}): stop it")
-        if not self._observe().torque_enabled:
-            return False
-        if not previous:
-            raise ArmError("torque is already on, so another program moves the arm: stop that program")
-        self.is_driving = True
-        return True
+        if self._observe().torque_enabled:
+            raise ArmError(
+                "torque is already on, so another program moves the arm: stop that program, or `deltacharger undock`"
+            )
 
     def run(self, machine: DockingMachine, session: TouchSession) -> DockingOutcome:
         """Run a session to its end.

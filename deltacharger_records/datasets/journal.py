@@ -1,19 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recorded dockings: a folder with one file per docking, written completely or not at all, and the data set from it.
-
-F.recording is beside F.npz. Its recording.json describes the recording. Each docking-*.mcap holds one docking: its raw
-messages and the inputs of its rows. F.npz is composed from these files and can be composed again at any time.
-"""
+"""A data set that grows docking by docking: F.npz is written anew after each, completely or not at all."""
 
 from __future__ import annotations
 
-import fcntl
-import io
-import json
 import math
-import os
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from datetime import datetime, timezone
 from pathlib import Path
@@ -22,27 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_core.arrays import read_array
 from deltacharger_core.environment import package_version
-from deltacharger_core.files import (
-    atomic_write,
-    brief,
-    make_folder,
-    parse_json,
-    read_text,
-    remove_unfinished,
-    write_text,
-)
-from deltacharger_core.mcap_file import McapFile, Raw, RecordingError
-from deltacharger_records.datasets.session import SETS, SUBSETS, Part
-from deltacharger_records.raw_topics import Topic
-from deltacharger_records.recording.mcap_recording import McapWriter
+from deltacharger_core.files import atomic_write
+from deltacharger_records.datasets.session import SUBSETS, CommandedPose, Part
 from deltacharger_tactile.dataset import VERSION, Dataset
 
-_AS_KEPT = ("angle", "vertical", "horizontal", "current")
-_JOURNAL_VERSION = 1
-_HEADER, _DRIVER = "recording.json", "driver"
-_RECORD, _FRAMES = "docking", "frames.npy"
+_ROWS = [item.name for item in fields(Dataset) if item.name != "meta"]
 
 
 @dataclass(frozen=True)
@@ -70,194 +46,151 @@ class Settings:
 
 @dataclass(frozen=True)
 class Docking:
-    """One docking in the recording.
+    """One docking.
 
     Attributes:
-        attempt: its number, unique in the file.
+        number: index in its part's poses.
         session: number of the tare that its frames use, unique in the file.
-        part: name of the part of the recording.
-        number: index in the part's poses.
-        horizontal, vertical, angle: commanded pose of the target in end_effector, m, m, rad.
+        pose: commanded pose of the target in end_effector.
         x, y: the same offsets by the arm's joints in contact, m.
         current: contact current, A.
-        time: when it was measured, s since 1970.
         frames: (rows, 2, 10, 10) float32 N, left and right, tared, not thresholded; NaN where dead.
     """
 
-    attempt: int
-    session: int
-    part: str
     number: int
-    horizontal: float
-    vertical: float
-    angle: float
+    session: int
+    pose: CommandedPose
     x: float
     y: float
     current: float
-    time: float
     frames: NDArray[np.float32]
 
 
-class Mismatch(RecordingError):
-    """The request differs from the recording's content."""
+class Mismatch(RuntimeError):
+    """The request differs from the file's content."""
 
 
 class Journal:
-    """The folder beside a data set; open in one process at a time.
+    """The data set in a file.
 
     Args:
         out: of the data set, F.npz.
 
     Attributes:
-        dockings: all recorded ones, by attempt.
-        parts: those with dockings, by name, in the order of their beginning.
+        data: its rows; None before the first docking.
         settings: common to all dockings; None before the first one.
 
     Raises:
-        Mismatch: another process has it open, or F.npz exists and was not made from a recording.
-        RecordingError: a file in it is damaged, or mcap is not installed.
+        Mismatch: the file was not recorded by this class.
+        DatasetError: it is damaged.
     """
 
     def __init__(self, out: Path) -> None:
         self.out = out
-        self.folder = out.with_suffix(".recording")
-        self.dockings: list[Docking] = []
-        self.parts: dict[str, Part] = {}
+        self.data = Dataset.load(out) if out.exists() else None
         self.settings: Settings | None = None
-        if out.exists() and not self.folder.is_dir():
-            raise Mismatch(f"{out} exists without {self.folder.name}: give another --out")
-        make_folder(self.folder)
-        self._lock = os.open(self.folder, os.O_RDONLY)
+        self._parts: dict[str, dict[str, Any]] = {}  # arguments and recorded numbers, in the order of their beginning
+        if self.data is None:
+            return
         try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            remove_unfinished(self.folder)
-            self._read()
-        except BlockingIOError as error:
-            os.close(self._lock)
-            raise Mismatch(f"another process records into {self.folder}: stop it, or give another --out") from error
-        except BaseException:
-            os.close(self._lock)
-            raise
-
-    def __enter__(self) -> Journal:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        if not any(self.folder.iterdir()):
-            self.folder.rmdir()
-        os.close(self._lock)
-
-    def check(self, part: Part, settings: Settings) -> None:
-        """Refuse arguments that differ from the recording's first ones.
-
-        Raises:
-            Mismatch: names what differs.
-        """
-        pairs: list[tuple[Any, Any]] = [(self.settings, settings), (self.parts.get(part.name), part)]
-        differing = [
-            f"{_flag(item.name)} {_shown(getattr(held, item.name))} (not {_shown(asked)})"
-            for held, wanted in pairs
-            if held is not None
-            for item in fields(wanted)
-            if (asked := getattr(wanted, item.name)) != getattr(held, item.name) and asked is not None
-        ]
-        if differing:
-            raise Mismatch(f"{self.folder} was recorded with {', '.join(differing)}: use these, or give another --out")
-
-    def done(self, part: Part) -> set[int]:
-        """Return the numbers of a part's recorded dockings."""
-        return {docking.number for docking in self.dockings if docking.part == part.name}
+            self.settings = Settings(**{item.name: self.data.meta[item.name] for item in fields(Settings)})
+            self._parts = {str(each["name"]): dict(each) for each in self.data.meta["parts"]}
+            if not all(isinstance(number, int) for each in self._parts.values() for number in each["numbers"]):
+                raise ValueError
+        except (KeyError, TypeError, ValueError) as error:
+            raise Mismatch(f"{out} was not recorded by this command: give another --out") from error
 
     @property
-    def next_attempt(self) -> int:
-        """Number for the next docking."""
-        return 1 + max((docking.attempt for docking in self.dockings), default=-1)
+    def dockings(self) -> int:
+        """Number of recorded dockings."""
+        return sum(len(each["numbers"]) for each in self._parts.values())
 
     @property
     def next_session(self) -> int:
         """Number for the next session."""
-        return 1 + max((docking.session for docking in self.dockings), default=-1)
+        return 0 if self.data is None else 1 + int(self.data.session.max())
 
-    def _begin(self, part: Part, settings: Settings) -> None:
-        """Add the part and the settings to recording.json."""
-        self.settings, self.parts[part.name] = settings, part
-        content = {
-            "version": _JOURNAL_VERSION,
-            "settings": asdict(settings),
-            "parts": [asdict(each) for each in self.parts.values()],
-        }
-        write_text(self.folder / _HEADER, json.dumps(content, indent=1))
+    def parts(self) -> dict[str, tuple[int, int]]:
+        """Return the number of recorded dockings and of all, of each part by its name."""
+        return {name: (len(each["numbers"]), each["of"]) for name, each in self._parts.items()}
 
-    def store(
-        self, docking: Docking, part: Part, settings: Settings, topics: Mapping[str, Topic], messages: Iterable[Raw]
-    ) -> None:
-        """Write a docking durably; it is on the disk when this returns.
-
-        Args:
-            docking: to write.
-            part: that it belongs to.
-            settings: as passed to `check`.
-            topics: by their full names.
-            messages: of the complete docking.
+    def check(self, part: Part, settings: Settings) -> None:
+        """Refuse arguments that differ from the first ones.
 
         Raises:
-            OSError: the disk does not accept it; nothing of it is kept.
+            Mismatch: names what differs.
         """
-        if part.name not in self.parts:
-            self._begin(part, settings)
-        with McapWriter(self.folder / f"docking-{docking.attempt:06}.mcap", topics) as writer:
-            for message in messages:
-                writer.add(message)
-            values = {key: json.dumps(value) for key, value in vars(docking).items() if key != "frames"}
-            writer.add_metadata(_RECORD, values)
-            array = io.BytesIO()
-            np.save(array, docking.frames, allow_pickle=False)
-            writer.attach(_FRAMES, "application/x-npy", array.getvalue())
-        self.dockings.append(docking)
+        pairs = [({} if self.settings is None else asdict(self.settings), asdict(settings))]
+        pairs.append((self._parts.get(part.name, {}), asdict(part)))
+        differing = [
+            f"{_flag(name)} {_shown(held[name])} (not {_shown(asked)})"
+            for held, wanted in pairs
+            for name, asked in wanted.items()
+            if name in held and asked is not None and _shown(held[name]) != _shown(asked)
+        ]
+        if differing:
+            raise Mismatch(f"{self.out} was recorded with {', '.join(differing)}: use these, or give another --out")
 
-    def compose(self) -> Dataset | None:
-        """Write F.npz from all dockings and return its content; None without dockings."""
-        if not self.dockings or self.settings is None:
-            return None
-        data = dataset(self.dockings, self.parts, self.settings)
+    def done(self, part: Part) -> set[int]:
+        """Return the numbers of a part's recorded dockings."""
+        return set(self._parts.get(part.name, {}).get("numbers", ()))
+
+    def add_docking(self, docking: Docking, part: Part, settings: Settings) -> None:
+        """Add a docking; it is on the disk when this returns.
+
+        Args:
+            docking: to add.
+            part: that it belongs to.
+            settings: as passed to `check`.
+
+        Raises:
+            OSError: the disk does not accept it; the file stays as it was.
+        """
+        name, poses = part.name, len(part.poses())
+        parts = {**self._parts, name: {**asdict(part), "name": name, "of": poses, "numbers": sorted(self.done(part))}}
+        parts[name]["numbers"] += [docking.number]
+        rows = _rows(docking, part, settings, 0 if self.data is None else 1 + int(self.data.attempt.max()))
+        if self.data is not None:
+            rows = {each: np.concatenate([getattr(self.data, each), rows[each]]) for each in _ROWS}
+        data = Dataset(**rows, meta=self._meta(parts, settings))
         with atomic_write(self.out) as path:
             data.save(path)
-        return data
+        self.data, self.settings, self._parts = data, settings, parts
 
-    def driver(self) -> str:
-        """Return the name of the node that drove the arm for this recording and did not finish; '' = none."""
-        path = self.folder / _DRIVER
-        return read_text(path) if path.is_file() else ""
+    def _meta(self, parts: Mapping[str, dict[str, Any]], settings: Settings) -> dict[str, Any]:
+        now = datetime.now(timezone.utc).isoformat(timespec="seconds")
+        return {
+            "version": VERSION,
+            "protocol": "recorded",
+            "recorded": True,
+            **asdict(settings),
+            "rigs": [settings.rig],
+            "package": package_version(),
+            "from": now if self.data is None else self.data.meta["from"],
+            "to": now,
+            "parts": list(parts.values()),
+        }
 
-    def set_driver(self, name: str) -> None:
-        """Record which node drives the arm; '' = none."""
-        path = self.folder / _DRIVER
-        if not name:
-            path.unlink(missing_ok=True)
-            return
-        write_text(path, name)
 
-    def _read(self) -> None:
-        path = self.folder / _HEADER
-        if not os.path.lexists(path):
-            return
-        try:
-            content = parse_json(read_text(path))
-            if content["version"] != _JOURNAL_VERSION:
-                raise RecordingError(f"{path} has version {content['version']}: give another --out")
-            settings = Settings(**_plain(Settings, content["settings"]))
-            parts = {part.name: part for part in (Part.from_dict(_plain(Part, each)) for each in content["parts"])}
-            if not all(part.set in SETS for part in parts.values()):
-                raise ValueError("a part has an unknown set")
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise RecordingError(f"{path} is damaged ({error}): restore it, or give another --out") from error
-        for file in sorted(self.folder.glob("docking-*.mcap")):
-            self.dockings.append(_docking(file))
-        names = {docking.part for docking in self.dockings}
-        if names - set(parts):
-            raise RecordingError(f"{path} does not list {', '.join(sorted(names - set(parts)))}: restore it")
-        self.parts = {name: part for name, part in parts.items() if name in names}
-        self.settings = settings if self.parts else None
+def _rows(docking: Docking, part: Part, settings: Settings, attempt: int) -> dict[str, NDArray[Any]]:
+    """Return the rows of a docking.
+
+    Board tare and total contact force are unknown: both are NaN. So is the angle in contact. x and y in contact come
+    from the arm's joints: unlike the command, they include the offset that friction leaves.
+    """
+    count, dead = len(docking.frames), np.isnan(docking.frames)
+    frames = np.where(dead | (docking.frames < settings.threshold), 0.0, docking.frames).astype(np.float32)
+    values = {"attempt": attempt, "session": docking.session, "rig": settings.rig, "subset": SUBSETS[part.set]}
+    known = {**asdict(docking.pose), "current": docking.current, "force": math.nan}
+    return {
+        "left": frames[:, 0],
+        "right": frames[:, 1],
+        "tare": np.full(frames.shape, np.nan, dtype=np.float32),
+        "dead": dead,
+        "contact_pose": np.tile((docking.x, docking.y, math.nan), (count, 1)),
+        **{name: np.full(count, value, dtype=np.int64) for name, value in values.items()},
+        **{name: np.full(count, value, dtype=np.float64) for name, value in known.items()},
+    }
 
 
 def _flag(name: str) -> str:
@@ -267,94 +200,4 @@ def _flag(name: str) -> str:
 def _shown(value: Any) -> str:
     if isinstance(value, bool):
         return "simulated" if value else "real"
-    return " ".join(f"{each:g}" for each in value) if isinstance(value, tuple) else str(value)
-
-
-def _plain(kind: Any, values: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the fields of a class from JSON values; ValueError if one has another type."""
-    allowed: dict[str, tuple[type, ...]] = {"int": (int,), "float": (int, float), "str": (str,)}
-    for item in fields(kind):
-        value, types = values.get(item.name), allowed.get(str(item.type))
-        if types and item.name in values and (not isinstance(value, types) or isinstance(value, bool)):
-            raise ValueError(f"{item.name} is {brief(value)}")
-    return values
-
-
-def _docking(path: Path) -> Docking:
-    """Read one docking.
-
-    Raises:
-        RecordingError: it is damaged.
-    """
-    file = McapFile(path)
-    try:
-        if file.damage:
-            raise ValueError(file.damage)
-        values = {key: parse_json(text) for key, text in file.metadata_named(_RECORD)[0].items()}
-        content = file.attachment(_FRAMES)
-        frames = read_array(io.BytesIO(content), len(content))
-        if frames.ndim != 4 or frames.shape[1:] != (2, 10, 10) or frames.dtype.kind != "f" or np.isinf(frames).any():
-            raise ValueError(f"frames of shape {frames.shape}, {frames.dtype}")
-        return Docking(frames=frames, **_plain(Docking, values))
-    except (ValueError, LookupError, TypeError) as error:
-        raise RecordingError(f"{path} holds no docking ({error}): remove it to record this docking again") from error
-
-
-def dataset(dockings: Sequence[Docking], parts: Mapping[str, Part], settings: Settings) -> Dataset:
-    """Return the rows of all dockings, in their order.
-
-    Board tare and total contact force are unknown: both are NaN. So is the angle in contact. x and y in contact come
-    from the arm's joints: unlike the command, they include the offset that friction leaves.
-    """
-    rows = np.array([len(docking.frames) for docking in dockings])
-    frames = np.concatenate([docking.frames for docking in dockings])
-    dead = np.isnan(frames)
-    frames = np.where(dead | (frames < settings.threshold), 0.0, frames).astype(np.float32)
-
-    def column(values: Iterable[Any], kind: Any = float) -> NDArray[Any]:
-        return np.repeat(np.array(list(values), dtype=kind), rows, axis=0)
-
-    count = len(frames)
-    return Dataset(
-        left=frames[:, 0],
-        right=frames[:, 1],
-        tare=np.full(frames.shape, np.nan, dtype=np.float32),
-        dead=dead,
-        contact_pose=column((docking.x, docking.y, math.nan) for docking in dockings),
-        attempt=column((docking.attempt for docking in dockings), np.int64),
-        session=column((docking.session for docking in dockings), np.int64),
-        rig=np.full(count, settings.rig, dtype=np.int64),
-        subset=column((SUBSETS[parts[docking.part].set] for docking in dockings), np.int64),
-        **{name: column(getattr(docking, name) for docking in dockings) for name in _AS_KEPT},
-        force=np.full(count, np.nan),
-        meta=_meta(dockings, parts, settings),
-    )
-
-
-def _meta(dockings: Sequence[Docking], parts: Mapping[str, Part], settings: Settings) -> dict[str, Any]:
-    counts = Counter(docking.part for docking in dockings)
-    times = [docking.time for docking in dockings]
-    return {
-        "version": VERSION,
-        "protocol": "recorded",
-        "recorded": True,
-        **asdict(settings),
-        "rigs": [settings.rig],
-        "package": package_version(),
-        "from": _date(min(times)),
-        "to": _date(max(times)),
-        "parts": [
-            {
-                **asdict(part),
-                "name": name,
-                "recorded": counts[name],
-                "of": len(part.poses()),
-                "sessions": sorted({docking.session for docking in dockings if docking.part == name}),
-            }
-            for name, part in parts.items()
-        ],
-    }
-
-
-def _date(time: float) -> str:
-    return datetime.fromtimestamp(time, timezone.utc).isoformat(timespec="seconds")
+    return " ".join(f"{each:g}" for each in value) if isinstance(value, list | tuple) else str(value)

@@ -9,9 +9,9 @@ ends, the arm retracts and its torque is switched off.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -87,11 +87,6 @@ class Part:
     def target(self) -> tuple[float, float, float]:
         """Position of the target's electrodes, m, charger_base."""
         return 1e-3 * self.x_mm, 1e-3 * self.y_mm, 1e-3 * self.z_mm
-
-    @staticmethod
-    def from_dict(values: Mapping[str, Any]) -> Part:
-        """Return a part from its fields in JSON; TypeError or KeyError if one is wrong."""
-        return Part(**{**values, "offsets_mm": tuple(values["offsets_mm"])})
 
     def poses(self) -> list[CommandedPose]:
         """Return every docking's pose in the order of recording; equal arguments give equal poses.

@@ -25,10 +25,9 @@ from deltacharger_core.mcap_file import Raw, RecordingError, require_mcap
 from deltacharger_core.real_time import HOST
 from deltacharger_records.node_parameters import ParameterReader
 from deltacharger_records.parameters import DockingRecorderNodeParameters
-from deltacharger_records.raw_topics import PolledTopics
 from deltacharger_records.recording.docking_recorder import DockingRecorder
 from deltacharger_records.recording.folder import RecordFolder
-from deltacharger_records.recording.mcap_recording import ACTIONS, STATE, TOPICS, schema_text
+from deltacharger_records.recording.mcap_recording import ACTIONS, STATE, TOPICS, PolledTopics, schema_text
 from deltacharger_ros import node_support
 from deltacharger_ros.diagnostics import ERROR, OK, Diagnostics
 from deltacharger_ros.log import Log
@@ -40,7 +39,6 @@ _POLL = 0.02  # s between reads of the topics
 _TICK = 0.2  # s between calls of the recorder's `tick`
 _DIAGNOSTICS = 1.0  # s
 _GOALS_MAX = 100  # goals whose results were requested
-_NAMED_MAX = 10  # files left alone that are named
 _ID = slice(4, 20)  # of the goal's id in a feedback's CDR, after the encapsulation header
 
 
@@ -52,14 +50,12 @@ class DockingRecorderNode(Node):
         self._log = Log(self)
         given = declare_all(self, DockingRecorderNodeParameters)
         reject_unknown(self)
-        self._folder = RecordFolder(given_path(given.folder), given.max_files, given.max_megabytes * 10**6)
         environment.prepare()
+        self._folder = given_path(given.folder)
         self._recorder = DockingRecorder(
-            self._folder,
+            RecordFolder(self._folder, given.max_megabytes * 10**6),
             {self.resolve_topic_name(topic.name): topic for topic in TOPICS},
             {"version": package_version(), "scene": given.scene, "namespace": self.get_namespace()},
-            given.before,
-            given.charging_rate,
         )
         try:
             require_mcap()
@@ -146,7 +142,7 @@ class DockingRecorderNode(Node):
             self._stopping.wait(_POLL)
 
     def _work(self) -> None:
-        for message in self._topics.take():
+        for message in self._topics.take_messages():
             self._take(message)
         while self._received:
             self._received.popleft()()
@@ -158,13 +154,7 @@ class DockingRecorderNode(Node):
             text = f"recording {recorder.path.name}"
         if recorder.problem:
             level, text = ERROR, recorder.problem
-        left_alone = [f"{name!a}: {why}" for name, why in self._folder.passed_by.items()]
-        values = {
-            "folder": self._folder.path,
-            "left_alone": "; ".join(left_alone[:_NAMED_MAX]),
-            "left_alone_count": len(left_alone),
-        }
-        self._diagnostics.report(level, text, values, "recording")
+        self._diagnostics.report(level, text, {"folder": self._folder}, "recording")
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -7,14 +7,14 @@ that other readers need no message packages. Needs the package mcap, `deltacharg
 
 from __future__ import annotations
 
+import importlib
 import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from action_msgs.msg import GoalStatusArray
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 from deltacharger.action import Dock, Undock
 from deltacharger.msg import (
@@ -27,17 +27,60 @@ from deltacharger.msg import (
     TactileFrame,
 )
 from geometry_msgs.msg import PoseStamped, WrenchStamped
+from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import deserialize_message
 from trajectory_msgs.msg import JointTrajectory
 
-from deltacharger_core.files import atomic_write
+from deltacharger_core.files import flush
 from deltacharger_core.mcap_file import DamagedRecording, McapFile, Raw, RecordingError, require_mcap
-from deltacharger_records.raw_topics import Topic
 from deltacharger_records.recording.folder import ABOUT, LIBRARY
 from deltacharger_ros import qos
+from deltacharger_ros.on_demand import PolledTopic
 
 _DEFAULT = QoSProfile(depth=qos.DEFAULT_DEPTH)
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic of a charger.
+
+    Attributes:
+        name: relative.
+        kind: message class.
+        qos: quality of service that its publisher offers.
+        queue: messages that a polling reader keeps; 500 lose none if the disk hangs for seconds.
+    """
+
+    name: str
+    kind: Any
+    qos: QoSProfile
+    queue: int = 500
+
+
+class PolledTopics:
+    """Undecoded topics of a charger, in order of reception.
+
+    Args:
+        node: subscriber.
+        topics: names relative to its namespace; their queues bound the time between two calls of `take_messages`.
+    """
+
+    def __init__(self, node: Node, topics: Sequence[Topic]) -> None:
+        self._topics = []
+        for topic in topics:
+            wanted = QoSProfile(depth=topic.queue, reliability=topic.qos.reliability, durability=topic.qos.durability)
+            self._topics.append(PolledTopic(node, topic.kind, topic.name, wanted, raw=True))
+
+    def take_messages(self) -> list[Raw]:
+        """Return the messages since the last call, in order of reception."""
+        found = []
+        for topic in self._topics:
+            for data, info in topic.take():
+                received = int(info["received_timestamp"]) or time.time_ns()
+                found.append(Raw(topic.name, received, int(info["source_timestamp"]), bytes(data)))
+        return sorted(found, key=lambda message: message.received)
+
 
 STATE = "docking_state"
 DECISION = "docking_decision"
@@ -55,21 +98,15 @@ TOPICS: tuple[Topic, ...] = (
     Topic("contact_wrench", WrenchStamped, _DEFAULT),
     Topic("end_effector_pose", PoseStamped, _DEFAULT),
     Topic("dock/_action/feedback", Dock.Impl.FeedbackMessage, _DEFAULT),
-    Topic("dock/_action/status", GoalStatusArray, qos.STATE),
     Topic("undock/_action/feedback", Undock.Impl.FeedbackMessage, _DEFAULT),
-    Topic("undock/_action/status", GoalStatusArray, qos.STATE),
 )
 """In a record, each has its full name."""
 
-ALWAYS = (STATE, DECISION, "electrode_detection", "dock/_action/status", "undock/_action/status")
+ALWAYS = (STATE, DECISION, "electrode_detection")
 """Topics of which every message is kept, even over hours of charging."""
 
 _SEPARATOR = "=" * 80
-_FIELD = re.compile(r"^\s*([A-Za-z]\w*(?:/\w+)?)(?:<=\d+)?(?:\[[^\]]*\])?\s+\w+")
 _PART = re.compile(r"\n=+\nMSG: ")
-_PLAIN = {"bool", "byte", "char", "string", "wstring", "float32", "float64"} | {
-    f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
-}
 # As `ros2 bag record` writes it: numbers, which all its versions read, and no history, which a recorder never learns.
 _OFFERED = """\
 - history: 3
@@ -85,13 +122,12 @@ _OFFERED = """\
 _FOREVER = "{sec: 9223372036, nsec: 854775807}"
 
 
-class McapStream:
-    """Write MCAP to a stream that the caller opens and closes.
+class McapWriter:
+    """Writes MCAP message by message, so that flushed data outlive this process.
 
     Args:
-        stream: to write to.
+        stream: to write to; closed with the writer.
         topics: by their full names.
-        live: write message by message, so that flushed data outlive this process; False = in chunks.
         metadata: records by name, written in this order directly after the header.
 
     Raises:
@@ -100,19 +136,14 @@ class McapStream:
     """
 
     def __init__(
-        self,
-        stream: BinaryIO,
-        topics: Mapping[str, Topic],
-        *,
-        live: bool,
-        metadata: Iterable[tuple[str, Mapping[str, str]]] = (),
+        self, stream: BinaryIO, topics: Mapping[str, Topic], metadata: Iterable[tuple[str, Mapping[str, str]]] = ()
     ) -> None:
         require_mcap()
         from mcap.writer import Writer
 
-        self._stream = stream
+        self.stream = stream
         self._channels: dict[str, int] = {}
-        self._writer: Any = Writer(stream, use_chunking=not live)
+        self._writer: Any = Writer(stream, use_chunking=False)
         self._writer.start(profile="ros2", library=LIBRARY)
         for name, values in metadata:
             self.add_metadata(name, values)
@@ -121,81 +152,25 @@ class McapStream:
             offered = {"offered_qos_profiles": _offered(topic.qos)}
             self._channels[full] = self._writer.register_channel(full, "cdr", schema, offered)
 
+    def __enter__(self) -> McapWriter:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
     def add(self, message: Raw) -> None:
         """Append a message; KeyError for an undeclared topic."""
         self._writer.add_message(self._channels[message.topic], message.received, message.data, message.published)
-
-    def add_message(self, topic: str, message: Any, received: int, published: int) -> None:
-        """Append a message object; times in ns since 1970."""
-        self.add(Raw(topic, received, published, serialize_message(message)))
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Append a metadata record of text values, shown by `ros2 bag` and Foxglove."""
         self._writer.add_metadata(name, dict(values))
 
-    def attach(self, name: str, media_type: str, data: bytes) -> None:
-        """Append a file."""
-        now = time.time_ns()
-        self._writer.add_attachment(now, now, name, media_type, data)
-
-    def flush(self) -> None:
-        """Pass live data to the operating system."""
-        self._stream.flush()
-
-    def finish(self) -> None:
-        """Write the index; nothing can be added afterwards."""
+    def close(self) -> None:
+        """Write the index, and close the stream when everything is on the disk."""
         self._writer.finish()
-        self._stream.flush()
-
-
-class McapWriter(McapStream):
-    """Write one MCAP file; it gets its name when it is complete and on the disk.
-
-    A `with` block left by an exception leaves no file.
-
-    Args:
-        path: of the file; an existing file is replaced at the end.
-        topics: by their full names.
-
-    Raises:
-        RecordingError: mcap or a message's .msg file is not installed.
-        OSError: the file cannot be written.
-    """
-
-    def __init__(self, path: Path, topics: Mapping[str, Topic]) -> None:
-        with ExitStack() as undo:
-            super().__init__(undo.enter_context(undo.enter_context(atomic_write(path)).open("wb")), topics, live=False)
-            undo.push(self._complete)
-            self._exit = undo.pop_all()
-
-    def __enter__(self) -> McapWriter:
-        return self
-
-    def __exit__(self, *exception: Any) -> None:
-        self._exit.__exit__(*exception)
-
-    def _complete(self, kind: object, *_: object) -> None:
-        if kind is None:
-            self.finish()
-
-
-def pack(path: Path, stream: BinaryIO, topics: Mapping[str, Topic]) -> None:
-    """Rewrite in chunks a file that McapStream wrote live: a third of the size, and `ros2 bag` plays it by time.
-
-    Args:
-        path: of the file.
-        stream: to write to.
-        topics: by their full names.
-
-    Raises:
-        RecordingError: it is damaged.
-        OSError: the disk does not accept it.
-    """
-    file = McapFile(path)
-    writer = McapStream(stream, topics, live=False, metadata=file.metadata)
-    for message in file.messages():
-        writer.add(message)
-    writer.finish()
+        flush(self.stream)
+        self.stream.close()
 
 
 class Recording:
@@ -323,25 +298,23 @@ def schema_text(kind: Any) -> str:
         RecordingError: a .msg file is not installed.
     """
     package, _, name = type_name(kind).split("/")
-    top = f"{package}/{name}"
-    texts, waiting = {top: _definition(package, name)}, [top]
+    found, waiting = {f"{package}/{name}": _definition(package, name)}, [kind()]
     while waiting:
         own = waiting.pop(0)
-        for part in _parts(texts[own], own.split("/")[0]):
-            if part not in texts:
-                texts[part] = _definition(*part.split("/"))
-                waiting.append(part)
-    first = texts.pop(top)
-    return "".join([first, *(f"\n{_SEPARATOR}\nMSG: {part}\n{text}" for part, text in texts.items())])
+        for field, described in own.get_fields_and_field_types().items():
+            for part in re.findall(r"\w+/\w+", described):
+                if part not in found:
+                    found[part] = _definition(*part.split("/"))
+                    waiting.append(_part(getattr(own, field), *part.split("/")))
+    first, *parts = found.items()
+    return "".join([first[1], *(f"\n{_SEPARATOR}\nMSG: {part}\n{text}" for part, text in parts)])
 
 
-def _parts(text: str, package: str) -> Iterator[str]:
-    """Yield the messages (package/Name) used by the fields of a definition."""
-    for line in text.splitlines():
-        found = _FIELD.match(line.partition("#")[0])
-        if found is None or found[1] in _PLAIN:
-            continue
-        yield found[1] if "/" in found[1] else f"{package}/{found[1]}"
+def _part(value: Any, package: str, name: str) -> Any:
+    """Return a message of the class of a field's value; of an empty sequence the class is found by its name."""
+    if hasattr(value, "get_fields_and_field_types"):
+        return value
+    return getattr(importlib.import_module(f"{package}.msg"), name)()
 
 
 def _definition(package: str, name: str) -> str:

@@ -18,11 +18,9 @@ from deltacharger_docking.contact import ContactCurrent
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_records.raw_topics import PolledTopics, Topic
-from deltacharger_records.recording.mcap_recording import DECISION, STATE, Recording, decode
+from deltacharger_records.recording.mcap_recording import DECISION, STATE, PolledTopics, Recording, Topic, decode
 from deltacharger_records.recording.mcap_recording import TOPICS as RECORDED
 from deltacharger_records.replay.words import numbers
-from deltacharger_records.view.animation import Animation
 from deltacharger_records.view.log import ViewLog
 from deltacharger_records.view.shapes import pad_picture
 from deltacharger_ros import qos
@@ -55,7 +53,7 @@ class ViewFeed:
     """Takes messages and fills a view.
 
     Args:
-        log: to fill: a `ViewLog` or an `Animation`.
+        log: to fill.
         geometry: of the arm.
         parameters: of docking_node; their gravity gives the contact current; None = the defaults.
 
@@ -64,9 +62,7 @@ class ViewFeed:
         refused: topics with an invalid message: the problem of the first one.
     """
 
-    def __init__(
-        self, log: ViewLog | Animation, geometry: DeltaGeometry, parameters: DockingParameters | None = None
-    ) -> None:
+    def __init__(self, log: ViewLog, geometry: DeltaGeometry, parameters: DockingParameters | None = None) -> None:
         self.counts: Counter[str] = Counter()
         self.refused: dict[str, str] = {}
         self._log = log
@@ -223,7 +219,7 @@ class Listener(Guest):
 
     def hand(self, feed: ViewFeed) -> None:
         """Pass all messages since the last call to `feed`, in the order of arrival."""
-        for message in self._topics.take():
+        for message in self._topics.take_messages():
             topic = self._by_name[message.topic]
             feed.take(topic.name, message.received, partial(deserialize_message, message.data, topic.kind))
 

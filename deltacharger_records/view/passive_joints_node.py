@@ -5,8 +5,8 @@ A display tool, started by launch/view.launch.py; no other node needs it.
 
 Subscribes: servo_state.
 Publishes: joint_states with the platform's three prismatic joints and the left rods' revolute ones, by forward
-kinematics, with the stamp of servo_state, at most `rate` times a second; nothing while a servo is invalid.
-Parameters: rate, geometry_file or the arm's single dimensions.
+kinematics, with the stamp of servo_state, at most 30 times a second; nothing while a servo is invalid.
+Parameters: geometry_file or the arm's single dimensions.
 """
 
 from __future__ import annotations
@@ -22,11 +22,12 @@ from sensor_msgs.msg import JointState
 from deltacharger_core.frames import CHARGER_BASE, JointFrameParameters
 from deltacharger_kinematics.geometry import DeltaGeometry, load_geometry
 from deltacharger_kinematics.parameters import GeometryFileParameters
+from deltacharger_kinematics.passive_joints import passive_joints
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_records.parameters import PassiveJointsNodeParameters
-from deltacharger_records.view.shapes import passive_joints
 from deltacharger_ros import node_support, qos
 from deltacharger_ros.parameters import declare_all, declare_file, reject_unknown
+
+_PERIOD = 1.0 / 30.0  # s, the shortest between two messages: as often as a screen shows them
 
 
 class PassiveJointsNode(Node):
@@ -34,12 +35,10 @@ class PassiveJointsNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("passive_joints_node", **kwargs)
-        rate = declare_all(self, PassiveJointsNodeParameters).rate
         frames = declare_all(self, JointFrameParameters)
         self._frame_id, self._prefix = frames.named(CHARGER_BASE), frames.joint_prefix
         self._delta = ScalarDelta(declare_file(self, GeometryFileParameters, load_geometry) or DeltaGeometry())
         reject_unknown(self)
-        self._period = 1.0 / rate
         self._last = -math.inf
         self._joints = self.create_publisher(JointState, "joint_states", qos.DEFAULT_DEPTH)
         self.create_subscription(ServoState, "servo_state", self._on_servo_state, qos.LATEST)
@@ -48,7 +47,7 @@ class PassiveJointsNode(Node):
         if len(message.position) != 3 or len(message.valid) != 3 or not all(message.valid):
             return
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
-        if 0.0 <= stamp - self._last < self._period:  # a clock set back must not stop the output
+        if 0.0 <= stamp - self._last < _PERIOD:  # a clock set back must not stop the output
             return
         values = passive_joints(self._delta, message.position)
         if not values:

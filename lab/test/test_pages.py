@@ -50,8 +50,8 @@ def test_every_key_of_a_campaign_has_a_row_with_a_meaning() -> None:
 @pytest.mark.parametrize(
     ("grant", "name", "who"),
     [
-        ("topics[@publish]/topic", "joint_trajectory", "docking_node workshop recording_player_node"),
-        ("topics[@publish]/topic", "charger_power", "tactile_node recording_player_node"),
+        ("topics[@publish]/topic", "joint_trajectory", "docking_node workshop"),
+        ("topics[@publish]/topic", "charger_power", "tactile_node"),
         ("services[@request]/service", "set_contactor", "docking_node servo_node workshop"),
         ("services[@request]/service", "docking_node/get_parameters", "docking_recorder_node fleet workshop"),
         ("services[@request]/service", "misalignment_node/set_parameters", "workshop"),

@@ -196,10 +196,11 @@ def record(path: Path, *images: tuple[str, Array, int], info: bool = True) -> Pa
     """Write images (topic, pixels, stamp), and their intrinsics unless without `info`."""
     pytest.importorskip("mcap", reason="reads recordings with deltacharger[record]")
     from builtin_interfaces.msg import Time
+    from rclpy.serialization import serialize_message
     from sensor_msgs.msg import Image
 
-    from deltacharger_records.raw_topics import Topic
-    from deltacharger_records.recording.mcap_recording import McapWriter
+    from deltacharger_core.mcap_file import Raw
+    from deltacharger_records.recording.mcap_recording import McapWriter, Topic
     from deltacharger_ros import qos
     from deltacharger_vision.ros.messages import camera_info_message
 
@@ -210,9 +211,10 @@ def record(path: Path, *images: tuple[str, Array, int], info: bool = True) -> Pa
         message.data, message.header.frame_id = array("B", pixels.tobytes()), CAMERA_FRAME
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
         messages.append((topic, message, stamp))
-    with McapWriter(path, {topic: Topic(topic, type(message), qos.SENSOR) for topic, message, _ in messages}) as writer:
+    topics = {topic: Topic(topic, type(message), qos.SENSOR) for topic, message, _ in messages}
+    with McapWriter(path.open("wb"), topics) as writer:
         for number, (topic, message, stamp) in enumerate(messages):
-            writer.add_message(topic, message, stamp + number, stamp)
+            writer.add(Raw(topic, stamp + number, stamp, serialize_message(message)))
     return path
 
 

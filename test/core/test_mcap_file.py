@@ -30,7 +30,6 @@ def write(path: Path, chunk_size: int = 600, messages: list[Raw] = MESSAGES, **o
         for message in messages:
             writer.add_message(channels[message.topic], message.received, message.data, message.published)
         writer.add_metadata("about", {"scene": "tape"})
-        writer.add_attachment(0, 0, "note.txt", "text/plain", b"hello")
         writer.finish()
     return path
 
@@ -55,7 +54,6 @@ def test_the_complete_content_is_read_from_every_kind_of_file(tmp_path: Path, op
     assert (file.first, file.last, file.damage) == (1000, 1099, "")
     assert file.metadata == [("about", {"scene": "tape"})]
     assert file.metadata_named("nothing") == []
-    assert file.attachment("note.txt") == b"hello"
 
 
 @pytest.mark.parametrize("index_types", [IndexType.ALL, IndexType.MESSAGE])

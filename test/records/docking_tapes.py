@@ -17,9 +17,8 @@ from rclpy.serialization import serialize_message
 
 from deltacharger_core.mcap_file import Raw
 from deltacharger_docking.codes import Code, State
-from deltacharger_records.raw_topics import Topic
 from deltacharger_records.recording.folder import ABOUT, PARAMETERS, RESULT
-from deltacharger_records.recording.mcap_recording import TOPICS, McapWriter
+from deltacharger_records.recording.mcap_recording import TOPICS, McapWriter, Topic
 from deltacharger_ros.messages import unknown_misalignment
 from deltacharger_ros.outcomes import Outcome
 
@@ -129,8 +128,8 @@ def write(
     parameters: Mapping[str, Any] = MappingProxyType({}),
 ) -> Path:
     """Write a recording of messages."""
-    with McapWriter(path, topics) as writer:
-        writer.add_metadata(ABOUT, {"version": "0", "scene": "tape", "namespace": "/a", "request_id": "r/1"})
+    about = {"version": "0", "scene": "tape", "namespace": "/a", "request_id": "r/1"}
+    with McapWriter(path.open("wb"), topics, [(ABOUT, about)]) as writer:
         for message in messages:
             if message.topic in topics:
                 writer.add(message)

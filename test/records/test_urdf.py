@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.geometry import LimbAdjustment, save_geometry
+from deltacharger_kinematics.passive_joints import passive_joints
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_records.view.shapes import ROD_SPACING, SIDES, camera, moving, passive_joints, platform
+from deltacharger_records.view.shapes import ROD_SPACING, SIDES, camera, moving, platform
 from deltacharger_vision.mount import Mount, look_at
 from deltacharger_vision.terminal import Terminal
 

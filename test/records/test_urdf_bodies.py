@@ -14,8 +14,8 @@ import pytest
 from deltacharger_core.arrays import Array
 from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.geometry import save_geometry
+from deltacharger_kinematics.passive_joints import passive_joints
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_records.view.shapes import passive_joints
 from deltacharger_vision.mount import Mount, look_at
 
 from .test_urdf import BAKED, CALIBRATED, UrdfTree, expanded

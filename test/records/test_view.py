@@ -158,21 +158,6 @@ def test_without_a_screen_the_message_names_alternatives(capsys: Capture, monkey
 
 
 @pytest.mark.rest
-def test_a_docking_is_drawn_as_an_animated_picture(docking: Path, tmp_path: Path, capsys: Capture) -> None:
-    image = pytest.importorskip("PIL.Image", reason="comes with matplotlib, deltacharger[picture]")
-    path = tmp_path / "docking.gif"
-    assert run(capsys, "view", "--recording", docking, "--save", path)[0] == 0
-    assert path.stat().st_size <= 1_000_000
-    with image.open(path) as picture:
-        assert (picture.size, picture.n_frames > 3) == ((900, 430), True)
-        first = np.asarray(picture.convert("RGB")).astype(int)
-        picture.seek(picture.n_frames - 1)
-        last = np.asarray(picture.convert("RGB")).astype(int)
-    for part in (np.s_[60:, :500], np.s_[60:200, 560:]):  # the arm moves, and the pads measure
-        assert (abs(last - first)[part].max(axis=2) > 40).mean() > 0.01
-
-
-@pytest.mark.rest
 def test_a_running_charger_is_shown_live(
     start: Callable[..., Process], deltacharger: tuple[str, ...], tmp_path: Path, context: Any, quick_scene: Any
 ) -> None:

@@ -12,8 +12,7 @@ import pytest
 
 from deltacharger_kinematics import DeltaGeometry
 from deltacharger_records.view import shapes as view_scene
-from deltacharger_records.view.animation import Solids
-from deltacharger_records.view.shapes import DEAD, FULL, NOISE, Boxes, pad_picture
+from deltacharger_records.view.shapes import DEAD, FULL, NOISE, pad_picture
 from deltacharger_vision.terminal import Terminal
 
 from ..bringup.command import Capture, refuses
@@ -53,22 +52,3 @@ def test_electrodes_of_both_sides_touch_at_the_contact_plane() -> None:
 def test_without_rerun_the_remedy_is_given(capsys: Capture, monkeypatch: pytest.MonkeyPatch, module: Any) -> None:
     monkeypatch.setitem(sys.modules, "rerun", module)
     refuses(capsys, "view", "deltacharger[view]")
-
-
-RED, BLUE = (255, 0, 0), (0, 0, 255)
-
-
-def _box(centre: tuple[float, float, float], colour: tuple[int, int, int]) -> Boxes:
-    boxes = Boxes()
-    boxes.add(centre, (0.2, 0.4, 0.6), colour)
-    return boxes
-
-
-@pytest.mark.parametrize("eye", [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0)])
-def test_nearer_faces_come_last(eye: tuple[float, float, float]) -> None:
-    solids = Solids()
-    solids.add(_box((0.0, 0.0, eye[2] * 2.0), BLUE))
-    solids.add(_box((0.0, 0.0, 0.0), RED))
-    _, colours = solids.seen(eye, (0.0, 1.0, 0.0))
-    assert colours[0, 0] > colours[0, 2]
-    assert colours[-1, 2] > colours[-1, 0]

@@ -30,7 +30,6 @@ ROOT = Path(__file__).parents[2]
 KINDS = {
     **dict.fromkeys(("simulated", "camera", "level", "mission"), "simulated"),
     **dict.fromkeys(("bench", "oakd", "rgbd", "tactile_lab"), "hardware"),
-    "replay": "recording",
     "mocks": "mocks",
 }
 
@@ -47,7 +46,7 @@ def test_every_documented_use_has_a_scene(capsys: pytest.CaptureFixture[str]) ->
 
 def test_a_scene_says_what_it_cannot_do_unless_another_node_does_it(capsys: pytest.CaptureFixture[str]) -> None:
     assert printed(capsys, "scene", "tactile_lab")["scenes"][0]["lacks"]["docking_node"] == "no actions dock and undock"
-    for scene, replaced in (("mocks", "servo_node"), ("replay", "tactile_node"), ("simulated", "servo_node")):
+    for scene, replaced in (("mocks", "servo_node"), ("simulated", "servo_node")):
         assert replaced not in printed(capsys, "scene", scene)["scenes"][0]["lacks"]
     assert main(["scene", "tactile_lab"]) == 0
     assert "without servo_node: no arm moves" in capsys.readouterr().out

@@ -80,7 +80,7 @@ def test_a_packaged_scene_is_valid_described_and_closed_to_the_network(name: str
     scene = load_scene(name)
     assert (scene.name, scene.network) == (name, "localhost")
     assert len(scene.description) > 20
-    assert scene.docks is (name not in ("tactile_lab", "replay"))
+    assert scene.docks is (name != "tactile_lab")
     assert scene.touches_hardware is (name in ("bench", "oakd", "rgbd", "tactile_lab"))
 
 
@@ -98,8 +98,7 @@ def test_the_geometry_of_the_simulated_arm_is_checked_with_the_scene(tmp_path: P
 
 def test_commanding_nodes_start_last_and_close_first() -> None:
     doubles = {spec.stands_in_for for spec in NODES.values()}
-    players = {name for name, spec in NODES.items() if spec.plays}
-    scene = parse_scene({"nodes": sorted(NODES.keys() - doubles - players)}, "x")
+    scene = parse_scene({"nodes": sorted(NODES.keys() - doubles)}, "x")
     assert scene.start_order()[-2:] == ["docking_node", "mission_node"]
 
 
@@ -143,7 +142,7 @@ def test_one_argument_sets_the_prefix_of_every_node() -> None:
         scene = override(load_scene(name), Overrides(frame_prefix="left/", joint_prefix="left_"))
         parameters = {node: scene.node_parameters(node, {}) for node in scene.nodes}
         without = {node for node, values in parameters.items() if values.get("frame_prefix") != "left/"}
-        assert without <= {"docking_recorder_node", "recording_player_node", "mock_navigator_node"}
+        assert without <= {"docking_recorder_node", "mock_navigator_node"}
         assert [node for node, values in parameters.items() if "joint_prefix" in values] == [
             node for node in scene.nodes if node.endswith("servo_node")
         ]
@@ -182,11 +181,6 @@ def test_files_reach_their_nodes_with_their_full_path(tmp_path: Path, monkeypatc
     Path("mine.npz").touch()
     scene = override(load_scene("bench"), Overrides(model="mine.npz"))
     assert scene.node_parameters("misalignment_node", {}) == {"model": str(tmp_path / "mine.npz")}
-    Path("bag").mkdir()
-    for name in ("bag", "bag/one.mcap"):  # the reader takes the recording of a folder
-        Path("bag/one.mcap").touch()
-        scene = override(load_scene("replay"), Overrides(recording=name))
-        assert scene.node_parameters("recording_player_node", {})["file"] == str(tmp_path / name)
 
 
 def test_records_go_to_the_given_folder_or_nowhere(tmp_path: Path) -> None:
@@ -206,7 +200,6 @@ REFUSED = [
     ("bench", {"servo_port": "/dev/no_such_servo"}, "there is no such port"),
     ("bench", {"camera": "usb"}, "give oak, topics, none"),
     ("bench", {"model": "nowhere.npz"}, "there is no such file"),
-    ("bench", {"recording": __file__}, "starts no recording_player_node"),
     ("bench", {"record": __file__}, "is a file"),
     ("bench", {"record": "/proc/records"}, "cannot be written"),
 ]
@@ -221,7 +214,7 @@ def test_an_unsuitable_argument_is_refused_by_its_name(scene: str, arguments: di
 
 def test_nodes_that_move_or_carry_current_do_not_restart() -> None:
     restarted = {name for name, spec in NODES.items() if spec.may_restart}
-    hands = {"servo_node", "tactile_node", "docking_node", "mission_node", "recording_player_node"}
+    hands = {"servo_node", "tactile_node", "docking_node", "mission_node"}
     assert not {name for name in restarted if {name, NODES[name].stands_in_for} & hands}
     assert "electrode_detector_node" in restarted
 

@@ -80,7 +80,7 @@ def scene(**target: Any) -> Scene:
 
 @pytest.mark.rest
 def test_it_docks_from_the_image_and_charges(context: Any) -> None:
-    from deltacharger_records.replay.recorder import Recorder
+    from deltacharger_records.replay.record import Recorder
 
     phases: list[str] = []
     with RunningCharger(scene(), context) as charger:

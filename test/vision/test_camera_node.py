@@ -17,10 +17,11 @@ import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.qos import qos_profile_sensor_data
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
-from deltacharger_records.raw_topics import Topic
+from deltacharger_core.mcap_file import Raw
 from deltacharger_ros import qos
 from deltacharger_ros.node_support import StartupError
 from deltacharger_vision.cameras.camera_node import CameraNode, RecordingPlayer
@@ -124,19 +125,22 @@ def test_an_absent_camera_is_reported_with_its_settings(start: Start, client: An
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Five images 20 ms apart, depth 3 ms after colour, one camera_info in the middle, all under another namespace."""
     pytest.importorskip("mcap", reason="replays with deltacharger[record]")
-    from deltacharger_records.recording.mcap_recording import McapWriter
+    from deltacharger_records.recording.mcap_recording import McapWriter, Topic
 
     kinds = {"/old/color/image_raw": Image, "/old/depth/image_raw": Image, "/old/color/camera_info": CameraInfo}
     path = tmp_path_factory.mktemp("recording") / "rec.mcap"
-    with McapWriter(path, {name: Topic(name, kind, qos.SENSOR) for name, kind in kinds.items()}) as writer:
+    with McapWriter(path.open("wb"), {name: Topic(name, kind, qos.SENSOR) for name, kind in kinds.items()}) as writer:
+
+        def add(topic: str, message: Any, received: int) -> None:
+            writer.add(Raw(topic, received, stamp, serialize_message(message)))
+
         for number in range(5):
             stamp, image = 10**9 + number * 20 * MS, picture(number)
             now, later = (rclpy.time.Time(nanoseconds=stamp + each).to_msg() for each in (0, 3 * MS))
-            writer.add_message("/old/color/image_raw", color_message(image.color, now, "other"), stamp, stamp)
-            writer.add_message("/old/depth/image_raw", depth_message(image.depth, later, "other"), stamp + 5, stamp)
+            add("/old/color/image_raw", color_message(image.color, now, "other"), stamp)
+            add("/old/depth/image_raw", depth_message(image.depth, later, "other"), stamp + 5)
             if number == 2:
-                info = camera_info_message(LENS, now, "other")
-                writer.add_message("/old/color/camera_info", info, stamp + 6, stamp)
+                add("/old/color/camera_info", camera_info_message(LENS, now, "other"), stamp + 6)
     return path
 
 
@@ -177,9 +181,9 @@ def test_a_replay_keeps_frames_that_differ() -> None:
 )
 def test_wrong_parameters_stop_the_start(start: Start, tmp_path: Path, replay: str, noun: str) -> None:
     pytest.importorskip("mcap", reason="replays with deltacharger[record]")
-    from deltacharger_records.recording.mcap_recording import McapWriter
+    from deltacharger_records.recording.mcap_recording import McapWriter, Topic
 
-    with McapWriter(tmp_path / "empty.mcap", {"/color/image_raw": Topic("color/image_raw", Image, qos.SENSOR)}):
-        pass
+    topics = {"/color/image_raw": Topic("color/image_raw", Image, qos.SENSOR)}
+    McapWriter((tmp_path / "empty.mcap").open("wb"), topics).close()
     with pytest.raises(StartupError, match=noun):
         start(replay=str(tmp_path / replay) if replay else "", rate=60.0, exposure_us=10_000 if replay else 30_000)

@@ -30,8 +30,8 @@ from typing import Any
 
 from deltacharger_core.parameters import ParameterError
 from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry, Vector
+from deltacharger_kinematics.passive_joints import rod_angles
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_records.view.shapes import rod_angles
 from deltacharger_sim.motion import Motion
 from deltacharger_sim.parameters import MagnetParameters, ServoParameters, WorldParameters
 from deltacharger_sim.touch import PAD, PADS_TURN, Bars, level_yaw, tilts

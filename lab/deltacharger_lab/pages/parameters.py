@@ -6,14 +6,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 
 from deltacharger_core import environment, streams
 from deltacharger_core.parameters import Declaration, declared
@@ -125,7 +122,7 @@ def every_node(context: Context, namespace: str) -> Iterator[list[Node]]:
     with Composition(scene, context, namespace) as composition, ExitStack() as stack:
         nodes: list[Any] = [running.node for running in composition.nodes]
         joints = PassiveJointsNode(context=context, namespace=namespace, use_global_arguments=False)
-        for node in (_camera(context, namespace), joints, _player(context, namespace)):
+        for node in (_camera(context, namespace), joints):
             stack.callback(node.destroy_node)
             stack.callback(getattr(node, "close", lambda: None))
             nodes.append(node)
@@ -140,26 +137,6 @@ def _camera(context: Context, namespace: str) -> Any:
         raise CameraUnavailable("only its parameters are read")
 
     return CameraNode(no_camera, context=context, namespace=namespace, use_global_arguments=False)
-
-
-def _player(context: Context, namespace: str) -> Any:
-    """Return a player for one message of every topic, in a separate namespace, because it never runs with a charger."""
-    from deltacharger_records.recording.mcap_recording import TOPICS, McapWriter
-    from deltacharger_records.recording.recording_player_node import RecordingPlayerNode
-
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "every_topic.mcap"
-        with McapWriter(path, {f"/{topic.name}": topic for topic in TOPICS}) as writer:
-            for topic in TOPICS:
-                writer.add_message(f"/{topic.name}", topic.kind(), 1, 1)
-        node = RecordingPlayerNode(
-            context=context,
-            namespace=f"{namespace}_player",
-            parameter_overrides=[Parameter("file", value=str(path))],
-            use_global_arguments=False,
-        )
-        node.close()
-    return node
 
 
 def write_page(document: Callable[[list[Node]], str], namespace: str) -> int:

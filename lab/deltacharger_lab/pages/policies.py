@@ -17,7 +17,7 @@ from deltacharger_lab.pages.parameters import with_every_node
 from deltacharger_lab.pages.topics import Endpoint, endpoints, everything
 from deltacharger_records.datasets.arm_client import ArmClient
 from deltacharger_records.datasets.charger import RecordingCharger
-from deltacharger_records.replay.recorder import Recorder
+from deltacharger_records.replay.record import Recorder
 from deltacharger_ros.client import ChargerClient, Guest
 
 FOLDER = Path(__file__).parents[3] / "config" / "security"
@@ -40,7 +40,6 @@ _EVERY_NODES = {
     *(Endpoint("serves", f"~/{name}", "") for name in (*_PARAMETERS, "set_parameters_atomically")),
     Endpoint("serves", "~/get_type_description", ""),
 }
-_NOT_OF_A_CHARGER = {"recording_player_node"}  # republishes others' messages
 _FLEET = "fleet"
 _WORKSHOP = "workshop"
 _ASKED = ("servo_node/get", "servo_node/list", "tactile_node/get", "tactile_node/list")
@@ -65,7 +64,7 @@ def documents(nodes: Iterable[Node]) -> dict[str, str]:
     profiles = {**found, _FLEET: fleet, _WORKSHOP: workshop}
     files = {f"{name}.xml": _profile(name, ends) for name, ends in profiles.items()}
     files["every_node.xml"] = _document(f"<profile>\n{_grants(_EVERY_NODES)}</profile>\n")
-    return {**files, "policy.xml": _policy(sorted(profiles), sorted({*found, _FLEET} - _NOT_OF_A_CHARGER))}
+    return {**files, "policy.xml": _policy(sorted(profiles), sorted({*found, _FLEET}))}
 
 
 def _is_topic(each: Endpoint) -> bool:

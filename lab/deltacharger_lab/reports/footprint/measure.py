@@ -266,7 +266,6 @@ def _start_nodes(started: Started, scene: Scene, ports: dict[str, str]) -> None:
 
 _NEEDS = {
     "camera_node": ("replay", "an OAK-D camera"),
-    "recording_player_node": ("file", "a recording, which every docking writes"),
 }
 """For nodes that need more than a port: the parameter that replaces it, and its description."""
 
