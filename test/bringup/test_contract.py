@@ -73,7 +73,7 @@ REFUSED = {
     f"{RECORD} --set position --angle-deg 1": "level",
     f"{RECORD} --set reference --offsets-mm 1": "--offsets-mm",
     f"{RECORD} --set reference --out F.csv": ".npz",
-    f"{RECORD} --set reference --out text.npz": "--out",
+    f"{RECORD} --set reference --out text.npz": "npz file",
     "vision detect": "IMAGE",
     COLOR: "--camera-info",
     f"{COLOR} --camera-info k.yaml": "distortion",
