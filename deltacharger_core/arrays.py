@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -20,57 +19,28 @@ Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-_LONGEST_HEADER = 10_000  # characters, as numpy has it
-_MOST_AXES = 8
-_BLOCK = 2**18
-
 
 class ArrayError(ValueError):
     """The stream holds no array of numbers, booleans or text. Example: a header that claims 10 TB."""
 
 
-def read_array(stream: IO[bytes], size: int) -> NDArray[Any]:
+def read_array(stream: IO[bytes]) -> NDArray[Any]:
     """Return the array stored from the current position to the end of a stream.
 
-    Args:
-        stream: byte stream; it may be shorter than it claims.
-        size: bytes left in the stream.
+    numpy reads it in blocks, so one that claims more than it holds takes no memory.
 
     Raises:
-        ArrayError: this is no .npy file, it holds Python objects, or its header does not match `size`.
+        ArrayError: this is no .npy file, it holds Python objects, or its header does not match its size.
     """
     try:
-        shape, by_columns, kind, header = _header(stream)
+        found = np.lib.format.read_array(stream, allow_pickle=False)
     except Exception as error:  # numpy parses the header as a Python literal, which may raise anything
-        raise ArrayError(f"it has no valid .npy header ({type(error).__name__})") from error
-    plain = (kind.kind in "biuf" and kind.itemsize <= 8) or (kind.kind == "U" and kind.itemsize)
-    if not plain or len(shape) > _MOST_AXES:
-        held = f"it holds an array of {str(kind)[:80]} with {len(shape)} axes"
-        raise ArrayError(f"{held}; allowed are numbers, booleans or text with at most {_MOST_AXES} axes")
-    needed = math.prod(shape) * kind.itemsize
-    if needed != size - header or max(shape, default=0) > size:
-        raise ArrayError(f"its header claims {needed} bytes, and {size - header} follow")
-    content = np.empty(needed, dtype=np.uint8)
-    for start in range(0, needed, _BLOCK):
-        block = stream.read(min(_BLOCK, needed - start))
-        if not block:
-            raise ArrayError("it ends early")
-        content[start : start + len(block)] = np.frombuffer(block, dtype=np.uint8)
-    if kind.kind == "b" and content.max(initial=0) > 1:
-        raise ArrayError("a boolean in it is neither 0 nor 1")
-    found = content.view(kind)
-    return found.reshape(shape[::-1]).T if by_columns else found.reshape(shape)
-
-
-def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:
-    """Return shape, whether the order is by columns, type, and the header's size in bytes."""
-    start = stream.tell()
-    if np.lib.format.read_magic(stream) != (1, 0):  # newer versions allow longer headers
-        raise ValueError("version")
-    shape, by_columns, kind = np.lib.format.read_array_header_1_0(stream, max_header_size=_LONGEST_HEADER)
-    if min(shape, default=0) < 0:
-        raise ValueError("shape")
-    return shape, by_columns, kind, stream.tell() - start
+        raise ArrayError(f"it is no valid .npy file ({type(error).__name__})") from error
+    if found.dtype.kind not in "biufU":
+        raise ArrayError(f"it holds {str(found.dtype)[:80]}; allowed are numbers, booleans or text")
+    if stream.read(1):
+        raise ArrayError("it is longer than its header claims")
+    return found
 
 
 LARGEST_MODEL = 256 * 2**20
@@ -118,17 +88,6 @@ def read_npz(path: str | Path, header: str, largest: int) -> tuple[dict[str, Any
     return described, arrays
 
 
-def holds_array(path: str | Path, name: str) -> bool:
-    """Whether a file is an npz file with this array; False also if it is missing or unreadable."""
-    import zipfile
-
-    try:
-        with open_file(path, LARGEST_DATASET) as file, zipfile.ZipFile(file) as archive:
-            return f"{name}.npy" in archive.namelist()
-    except Exception:  # as in `read_npz`, which reports the error
-        return False
-
-
 def _arrays(archive: zipfile.ZipFile, largest: int) -> dict[str, NDArray[Any]]:
     members = archive.infolist()
     size = sum(member.file_size for member in members)
@@ -140,5 +99,5 @@ def _arrays(archive: zipfile.ZipFile, largest: int) -> dict[str, NDArray[Any]]:
         if name in arrays or name == member.filename:
             raise NpzError(f"its member {member.filename[:80]!r} is a duplicate or no array")
         with archive.open(member) as stream:
-            arrays[name] = read_array(stream, member.file_size)  # to the end, where the checksum is verified
+            arrays[name] = read_array(stream)  # to the end, where the checksum is verified
     return arrays

@@ -14,11 +14,10 @@ from action_msgs.msg import GoalInfo, GoalStatus
 from rclpy.action.client import ActionClient, ClientGoalHandle
 from rclpy.node import Node
 
-from deltacharger_ros.messages import seconds
 from deltacharger_ros.qos import ACTION
 
-REFUSED, LOST, FORGOTTEN = -1, -2, -3
-"""Ends of a goal besides GoalStatus: goal not accepted; action server gone or restarted; result no longer kept."""
+REFUSED, LOST = -1, -2
+"""Ends of a goal besides GoalStatus: goal not accepted; action server gone, restarted, or without its result."""
 
 ONE_USER = (
     "run both as one user, since root and others do not hear each other, and containers with --ipc=host and --user "
@@ -58,7 +57,7 @@ class SentGoal:
     Attributes:
         accepted: whether the server is known to have the goal.
         finished: set at the end.
-        end: how it ended: a GoalStatus, REFUSED, LOST or FORGOTTEN.
+        end: how it ended: a GoalStatus, REFUSED or LOST.
         result: result message; None = none.
         error: why the exchange failed; None = it did not.
     """
@@ -74,8 +73,7 @@ class SentGoal:
         self._on_feedback = on_feedback
         self._cancel_wanted = False
         self._pause = _ASK_AFTER
-        self._sent_at = time.monotonic()
-        self._ask_at = self._sent_at + _ASK_AFTER
+        self._ask_at = time.monotonic() + _ASK_AFTER
         self._handle = _new_handle(client)
         executor: Any = node.executor
         self._call_soon = executor.call_soon
@@ -135,11 +133,7 @@ class SentGoal:
         if reply.status != GoalStatus.STATUS_UNKNOWN:
             self._finish(reply.status, reply.result)
         elif self.accepted:
-            self._finish(FORGOTTEN if self._ran_before(reply.result) else LOST)
-
-    def _ran_before(self, unknown: Any) -> bool:
-        """Whether the server that does not know the goal ran when it was sent; other servers than ours do not tell."""
-        return hasattr(unknown, "elapsed") and seconds(unknown.elapsed) > time.monotonic() - self._sent_at
+            self._finish(LOST)
 
     def _finish(self, end: int, result: Any = None) -> None:
         if not self.finished.is_set():
@@ -157,10 +151,10 @@ class SentGoal:
 
 
 class Echo:
-    """Asks an action's server for the result of a goal that nobody has, until it answers.
+    """Cancels a goal of an action's server that nobody has, until it answers that it does not know it.
 
     Fast DDS discovers over UDP but delivers over shared memory, which two users or two containers may not share: a goal
-    would be accepted and its answers lost. Every action server answers this question at once, and it changes nothing.
+    would be accepted and its answers lost. Every action server answers this at once, and it changes nothing.
 
     Args:
         node: node of the client, served by a `Spinner`.
@@ -195,7 +189,7 @@ class Echo:
     def _ask(self) -> None:
         if self._question is not None:
             self._question.cancel()  # rclpy would keep it
-        self._question = _new_handle(self._client).get_result_async()
+        self._question = _new_handle(self._client).cancel_goal_async()
         self._question.add_done_callback(self._on_answer)
 
     def _on_answer(self, question: Any) -> None:

@@ -10,21 +10,18 @@ import time
 from collections.abc import Callable
 from typing import Any, Protocol, TypeAlias
 
-from action_msgs.msg import GoalStatus
 from rclpy.action.server import ActionServer, CancelResponse, GoalResponse, ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
-from rclpy.task import Future
 
 from deltacharger_core.texts import titled
 from deltacharger_ros.log import Log
-from deltacharger_ros.messages import duration, to_outcome
+from deltacharger_ros.messages import to_outcome
 from deltacharger_ros.qos import ACTION
 
 GoalHandle: TypeAlias = "ServerGoalHandle[Any, Any, Any]"  # a string, because Jazzy's class is not generic
 
-KEPT = 3600  # results of ended goals: of an hour with a goal each second; one takes 3 kB
-_RCL_KEEPS = 10  # s; rcl has no bound in number, and names each kept goal in every status message
+KEPT = 3600  # s that a result is kept for a client that was away; rcl names each kept goal in every status message
 _CHECK_PERIOD = 1.0  # s between checks whether a goal is still served
 _SEND_TIME = 0.1  # s for the result to leave: rclpy sends it later, from another thread, without notice
 
@@ -87,41 +84,6 @@ class Work:
             threading.Event().wait(_SEND_TIME)
 
 
-class KeepingServer(ActionServer):  # type: ignore[type-arg]
-    """Keeps the last results, so that a client that was away around the end of its goal gets its result.
-
-    Args:
-        unknown: returns the result to whoever asks for a goal that is not known, about which rclpy would log a warning.
-        arguments, options: of rclpy's class.
-    """
-
-    def __init__(self, unknown: Callable[[], Any], *arguments: Any, **options: Any) -> None:
-        self._unknown = unknown
-        self._kept: dict[bytes, Any] = {}
-        super().__init__(*arguments, result_timeout=_RCL_KEEPS, **options)
-
-    async def _execute_expire_goals(self, expired_goals: Any) -> None:
-        for goal in expired_goals:
-            name = bytes(goal.goal_id.uuid)
-            self._kept[name] = self._result_futures[name]
-            if len(self._kept) > KEPT:
-                del self._kept[next(iter(self._kept))]
-        await super()._execute_expire_goals(expired_goals)
-
-    async def _execute_get_result_request(self, request_header_and_message: Any) -> None:
-        header, request = request_header_and_message
-        name = bytes(request.goal_id.uuid)
-        if name in self._goal_handles:
-            await super()._execute_get_result_request(request_header_and_message)
-            return
-        answer = self._kept.get(name)
-        if answer is None:
-            answer = Future()
-            response = self.action_type.Impl.GetResultService.Response
-            answer.set_result(response(status=GoalStatus.STATUS_UNKNOWN, result=self._unknown()))
-        self._send_result_response(header, answer)
-
-
 class WorkServer:
     """Serves an action. A goal waits for the end of its work in a worker of the node's `Spinner`.
 
@@ -157,9 +119,7 @@ class WorkServer:
         self._may_cancel = may_cancel
         self._begin, self._is_served = begin, is_served
         self._outcome, self._refusals, self._result = outcome, refusals, result
-        self._since = time.monotonic()
-        self._server = KeepingServer(
-            self._unknown,
+        self._server: Any = ActionServer(
             node,
             kind,
             name,
@@ -168,20 +128,13 @@ class WorkServer:
             handle_accepted_callback=accepted,
             cancel_callback=self._on_cancel,
             callback_group=ReentrantCallbackGroup(),
+            result_timeout=KEPT,
             **ACTION,
         )
 
     def destroy(self) -> None:
         """Release the ROS side."""
         self._server.destroy()
-
-    def _unknown(self) -> Any:
-        """Return the result of a goal that is not known: `elapsed` is how long this server has run."""
-        error = self._refusals("this node does not know the goal: look at docking_state before you undock")
-        result = self._result(self._outcome(error), None)
-        result.error_code = result.REJECTED
-        result.elapsed = duration(time.monotonic() - self._since)
-        return result
 
     def _title(self, handle: GoalHandle) -> str:
         return titled(self._name, handle.request.request_id)

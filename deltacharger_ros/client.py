@@ -29,7 +29,7 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from deltacharger_core.frames import CHARGER_BASE
-from deltacharger_ros.action_caller import FORGOTTEN, LOST, ONE_USER, Echo, SentGoal
+from deltacharger_ros.action_caller import LOST, ONE_USER, Echo, SentGoal
 from deltacharger_ros.executor import Spinner
 from deltacharger_ros.messages import duration, fill_pose, to_outcome, to_progress
 from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, Progress
@@ -292,11 +292,9 @@ class ChargerClient(Guest):
                     "on; if docking_node ended, the board opens the contactor by itself: check its log"
                 )
         if running.end == LOST:
-            raise ClientError(f"the charger no longer knows the goal '{action}': docking_node has restarted; undock")
-        if running.end == FORGOTTEN:
             raise ClientError(
-                f"the charger no longer keeps the result of '{action}': docking_state tells whether it charges, which "
-                "undocking would end"
+                f"the charger no longer knows the goal '{action}': docking_node has restarted, or the goal ended more "
+                "than an hour ago; docking_state tells whether it charges, which undocking would end"
             )
         if running.error is not None:
             raise ClientError(f"the charger did not accept the goal '{action}': {running.error}")

@@ -26,13 +26,11 @@ from rclpy.time import Time
 
 from deltacharger_core.frames import CHARGER_BASE, IDENTITY, LONGEST, Pose, TransformParameters, apart, composed
 from deltacharger_core.texts import far
-from deltacharger_ros.clock import steady_timer
 from deltacharger_ros.log import Log
 from deltacharger_ros.on_demand import PolledTopic
 from deltacharger_ros.parameters import was_given
 
 SAME = (0.002, math.radians(0.5))  # m and rad, tolerance for one mount: rounding in a URDF, measuring by ruler
-_LOOK, _LOOKS = 1.0, 30  # s between comparisons of tf with base_pose after the start, and their maximum number
 TF, TF_STATIC = "/tf", "/tf_static"
 _DEPTH = 100  # messages, as in TransformListener
 _POLL = 0.02  # s between polls for a transform
@@ -79,7 +77,7 @@ class TfTree:
         self._buffer: Any = None  # created when first needed: its import takes more memory than the readers
         self._parents: dict[str, str] = {}
         self._static: dict[str, Any] = {}
-        self._left_out: dict[str, float] = {}  # age (s) of the newest transform of frames with a wrong stamp
+        self._left_out: dict[str, str] = {}  # frame → why its newest transform was refused for its stamp
         self._last = 0  # ns, the node's clock
         self._started = time.monotonic()
         self._closing = threading.Event()
@@ -156,7 +154,10 @@ class TfTree:
         stamp, child = transform.header.stamp, transform.child_frame_id
         age = 1e-9 * (self._last - stamp.sec * 1_000_000_000 - stamp.nanosec)
         if stamp.sec < 0 or age < -self._given.transform_age_max:
-            self._left_out[child] = age
+            when = f"{-age:.1f} s in the future" if stamp.sec >= 0 else "before 1970"
+            self._left_out[child] = (
+                f"; the newest transform of {quoted(child)} is stamped {when}, beyond {self._limit()}"
+            )
             self._parents.setdefault(child, transform.header.frame_id)
             return
         self._left_out.pop(child, None)
@@ -185,9 +186,14 @@ class TfTree:
     def _knows(self, frame: str) -> bool:
         return frame in self._parents or frame in self._parents.values()
 
+    def _limit(self) -> str:
+        return f"transform_age_max ({self._given.transform_age_max:g} s)"
+
     def _found(self, parent: str, child: str, stamp: Stamp | None) -> Pose:
         """Return the pose from the buffer; errors as in `lookup`."""
-        self._check_connected(parent, child)
+        for frame in (parent, child):
+            if not self._knows(frame):
+                raise UnknownFrame(f"tf does not know the frame {quoted(frame)}; {self._known(frame)}")
         newest = self._ask(parent, child, Time())
         moves = Time.from_msg(newest.header.stamp).nanoseconds
         if stamp is not None and stamp.sec < 0:
@@ -202,52 +208,26 @@ class TfTree:
         return _numbers(self._ask(parent, child, at))
 
     def _ask(self, parent: str, child: str, at: Time) -> Any:
-        from tf2_ros import TransformException
+        from tf2_ros import ConnectivityException, TransformException
 
         try:
             return self._buffer.lookup_transform(parent, child, at)
         except TransformException as error:
             when = "at the time of its stamp" if at.nanoseconds else "now"
-            why = f"{error}{self._wrong_stamp(parent, child)}"
-            raise TransformError(
+            left_out = next(iter(self._left_out.values()), "")
+            why = f"{error}{left_out}"
+            kind = UnknownFrame if isinstance(error, ConnectivityException) and not left_out else TransformError
+            raise kind(
                 f"tf has no transform of {quoted(child)} in {quoted(parent)} {when}: {why}; send the pose with stamp 0 "
                 "(newest), and check the publishers of the transforms between them and the clocks"
             ) from error
 
-    def _wrong_stamp(self, *frames: str) -> str:
-        """Return as text which transform above these frames was refused for its stamp; '' = none."""
-        child = next((each for frame in frames for each in self._above(frame) if each in self._left_out), None)
-        if child is None:
-            return ""
-        age = self._left_out[child]
-        when = f"{-age:.1f} s in the future" if age < 0.0 else "before 1970"
-        limit = self._given.transform_age_max
-        return f"; the newest transform of {quoted(child)} is stamped {when}, beyond transform_age_max ({limit:g} s)"
-
     def _check_age(self, stamp: int, what: str, remedy: str) -> None:
         """Refuse a stamp (ns) too far in the past or future; 0 = fixed, no check."""
-        age, limit = 1e-9 * (self._last - stamp), self._given.transform_age_max
-        if stamp and abs(age) > limit:
+        age = 1e-9 * (self._last - stamp)
+        if stamp and abs(age) > self._given.transform_age_max:
             when = f"{age:.1f} s old" if age > 0.0 else f"{-age:.1f} s in the future"
-            raise TransformError(f"{what} is {when}, beyond transform_age_max ({limit:g} s): {remedy}")
-
-    def _check_connected(self, parent: str, child: str) -> None:
-        for frame in (parent, child):
-            if not self._knows(frame):
-                raise UnknownFrame(f"tf does not know the frame {quoted(frame)}; {self._known(frame)}")
-        roots = [self._above(frame)[-1] for frame in (parent, child)]
-        if roots[0] != roots[1]:
-            raise UnknownFrame(
-                f"tf does not connect {quoted(parent)} with {quoted(child)}: their roots are '{roots[0]}' and "
-                f"'{roots[1]}'; start the publisher of the transform between these, such as localization"
-            )
-
-    def _above(self, frame: str) -> list[str]:
-        """Return a frame and all its parents, the root last."""
-        found = {frame: None}
-        while (above := self._parents.get(frame)) is not None and above not in found:
-            found[frame := above] = None
-        return list(found)
+            raise TransformError(f"{what} is {when}, beyond {self._limit()}: {remedy}")
 
     def _known(self, frame: str) -> str:
         """Return the known frames as text, nearest names first."""
@@ -294,9 +274,6 @@ class Frames:
         self._is_given = was_given(node, "base_pose")
         self._tf = TfTree(node, given) if installed() else None
         self._logged = False  # that base_pose is used although tf is available
-        if self._tf is not None and self._is_given:
-            self._looks = 0
-            self._timer = steady_timer(node, _LOOK, self._compare)
 
     def close(self) -> None:
         """Wake all threads that wait for a transform."""
@@ -389,19 +366,6 @@ class Frames:
                 "or the URDF"
             )
         return found
-
-    def _compare(self) -> None:
-        """Report a contradiction between parameter and tf at the start, before any goal."""
-        assert self._tf is not None
-        self._looks += 1
-        try:
-            self._agreed(self._tf, 0.0)
-        except Contradiction as error:
-            self._log.error(f"{error}. Until this is corrected, goals in frames of the robot are refused")
-        except TransformError:
-            if self._looks < _LOOKS:
-                return
-        self._timer.cancel()
 
     def _remedy(self) -> str:
         names = f"use {self.charger_base}, {self._base_frame}, or '' to use the camera"

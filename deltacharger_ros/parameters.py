@@ -4,12 +4,9 @@
 from __future__ import annotations
 
 import math
-import sys
 import weakref
-from array import array
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -21,8 +18,7 @@ from rclpy.parameter import Parameter
 from deltacharger_core.files import given_path
 from deltacharger_core.parameters import Declaration, ParameterError, declared, did_you_mean
 from deltacharger_core.servo_types import MeasuredServos, ServosFileParameters
-from deltacharger_core.yaml_file import read_declared, read_yaml
-from deltacharger_ros.log import Log
+from deltacharger_core.yaml_file import read_declared
 from deltacharger_ros.node_support import StartupError
 
 T = TypeVar("T")
@@ -120,16 +116,10 @@ def show_values(node: Node, values: Mapping[str, Any]) -> None:
         node._parameters[name] = Parameter(name, value=value)  # private: rclpy changes no read-only parameter
 
 
-def reject_unknown(node: Node, arguments: Sequence[str] | None = None) -> None:
+def reject_unknown(node: Node) -> None:
     """Refuse given parameters that the node does not have; call it after all are declared.
 
-    Those that a parameter file gives to all nodes (`/**`) may belong to another node: they are ignored, with a warning.
-    It also makes later settings accept integers for floats, and every value that a parameter has already: a file that
-    `ros2 param dump` wrote can be loaded at any time.
-
-    Args:
-        node: owner of the parameters.
-        arguments: command line; None = sys.argv.
+    It also makes later settings accept integers for floats.
 
     Raises:
         StartupError: names the parameter and the nearest known one.
@@ -137,52 +127,20 @@ def reject_unknown(node: Node, arguments: Sequence[str] | None = None) -> None:
     known = set(node.get_parameters_by_prefix("")) | _OF_EVERY_NODE
     for name in node._parameter_overrides:
         if name not in known and not name.startswith("qos_overrides."):
-            problem = f"unknown parameter '{name}'{did_you_mean(name, sorted(known))}"
-            if name not in _of_all_nodes(node.get_name(), sys.argv if arguments is None else arguments):
-                raise StartupError(f"{node.get_name()}: {problem}")
-            Log(node).warning(f"{problem}: ignored, since a parameter file gives it to all nodes")
+            near = did_you_mean(name, sorted(known))
+            raise StartupError(f"{node.get_name()}: unknown parameter '{name}'{near}")
 
     this = weakref.ref(node)  # weak: a node that fails to start must be freed
 
     def changes(given: list[Parameter[Any]]) -> list[Parameter[Any]]:
         if (node := this()) is None:
             return given
-        changed = []
-        for each in given:
-            here = node.has_parameter(each.name)
-            wide = _widened(each, node.describe_parameter(each.name).type) if here else each
-            changed += [] if here and _is_same(node, wide) else [wide]
-        return changed or [node.get_parameter("use_sim_time")]  # as it is: rclpy refuses an empty list
+        return [
+            _widened(each, node.describe_parameter(each.name).type) if node.has_parameter(each.name) else each
+            for each in given
+        ]
 
     node.add_pre_set_parameters_callback(changes)
-
-
-def _of_all_nodes(node: str, arguments: Sequence[str]) -> set[str]:
-    """Return the parameters that only sections for all nodes of the command line's parameter files give to a node.
-
-    A file of launch holds what a launch file gives to one node, although its section is for all.
-    """
-    every: set[str] = set()
-    own = {word.partition(":=")[0].rpartition(":")[2] for word in arguments}  # by -p
-    for option, file in pairwise(arguments):
-        if option != "--params-file" or Path(file).name.startswith("launch_params_"):
-            continue
-        try:
-            sections = dict(read_yaml(file))
-        except (OSError, ValueError, TypeError):  # it is not as `read_yaml` wants it: nothing is known
-            continue
-        for section, content in sections.items():
-            last, given = section.rpartition("/")[2], (content or {}).get("ros__parameters", {})
-            own |= _flat(given) if last == node else set()
-            every |= _flat(given) if last in ("*", "**") else set()
-    return every - own
-
-
-def _flat(given: Any, prefix: str = "") -> set[str]:
-    """Return the names of nested parameters, joined by dots."""
-    if not isinstance(given, dict):
-        return {prefix.rstrip(".")}
-    return {name for key, value in given.items() for name in _flat(value, f"{prefix}{key}.")}
 
 
 def _declare(node: Node, each: Declaration, default: Any, description: str) -> Any:
@@ -209,13 +167,6 @@ def _widened(given: Parameter[Any], wanted: int) -> Parameter[Any]:
         return given
     value = list(map(float, given.value)) if wider is Parameter.Type.DOUBLE_ARRAY else float(given.value)
     return Parameter(given.name, wider, value)
-
-
-def _is_same(node: Node, given: Parameter[Any]) -> bool:
-    """Return whether a parameter has this value; as text, in which NaN is NaN and lists have one type."""
-    values = given.value, node.get_parameter(given.name).value
-    new, old = (repr(list(value) if isinstance(value, list | tuple | array) else value) for value in values)
-    return new == old
 
 
 def _descriptor(each: Declaration, description: str) -> ParameterDescriptor:

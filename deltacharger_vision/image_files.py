@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -237,7 +236,7 @@ def _is_whole_png(data: bytes) -> bool:
 def _array(path: Path) -> NDArray[Any]:
     try:
         with open_file(path, _LARGEST) as file:
-            return read_array(file, os.fstat(file.fileno()).st_size)
+            return read_array(file)
     except FileRefused as error:
         raise ImageError(str(path), f"{error.strerror}; write one with numpy.save") from error
     except ArrayError as error:

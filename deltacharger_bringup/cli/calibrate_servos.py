@@ -39,7 +39,7 @@ def add_servos(parser: argparse.ArgumentParser) -> None:
     add("--force", action="store_true", help="overwrite the file, and write doubtful numbers")
     text = "standard deviation of the weight of platform and rods (2)"
     add("--weight-percent", type=between(0.1, 20.0), default=100.0 * usual.weight_tolerance, metavar="P", help=text)
-    add("--seconds", type=between(60.0, 1800.0), default=usual.seconds, metavar="S", help="how long to measure (120)")
+    add("--seconds", type=between(60.0, 1800.0), default=usual.seconds, metavar="S", help="how long to measure (150)")
     add("--seed", type=SEED, default=0, metavar="N", help="random seed of the order of the poses (0)")
     namespace_option(parser)
 

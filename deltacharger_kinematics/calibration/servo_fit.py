@@ -52,7 +52,7 @@ class ServoTask:
     gravity: Vector = GRAVITY
     torque_constant: float = TORQUE_CONSTANT
     weight_tolerance: float = WEIGHT_TOLERANCE
-    seconds: float = 120.0
+    seconds: float = 150.0
     seed: int = 0
 
 

@@ -35,7 +35,7 @@ from deltacharger_mission.dialogue import (
 )
 from deltacharger_mission.parameters import MissionParameters
 from deltacharger_mission.places import Place
-from deltacharger_ros.action_caller import FORGOTTEN, LOST, REFUSED, ActionCaller, OnEnd, result_of
+from deltacharger_ros.action_caller import LOST, REFUSED, ActionCaller, OnEnd, result_of
 from deltacharger_ros.messages import duration, seconds, unknown_misalignment
 from deltacharger_ros.qos import SERVICE
 
@@ -44,7 +44,7 @@ _ENDS = {
     GoalStatus.STATUS_SUCCEEDED: End.DONE,
     GoalStatus.STATUS_CANCELED: End.CANCELED,
     REFUSED: End.REFUSED,
-    **dict.fromkeys((LOST, FORGOTTEN), End.LOST),
+    LOST: End.LOST,
 }
 
 

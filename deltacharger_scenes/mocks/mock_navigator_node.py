@@ -14,7 +14,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from rclpy.action.server import CancelResponse
+from rclpy.action.server import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 
@@ -23,7 +23,6 @@ from deltacharger_mission.ros.mission_node import load_navigation
 from deltacharger_mission.ros.others import fill_pose
 from deltacharger_mission.ros.others import place as read_place
 from deltacharger_ros import node_support
-from deltacharger_ros.action_server import KeepingServer
 from deltacharger_ros.messages import duration
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_scenes.mocks.fault_switch import fault_switch
@@ -52,8 +51,7 @@ class MockNavigatorNode(Node):
         self._place = Place(given.x, 0.0, 0.0, _FRAME)
         self.arrived: list[Place] = []
         self._stopping = threading.Event()
-        self._server = KeepingServer(
-            self._action.Result,
+        self._server: Any = ActionServer(
             self,
             self._action,
             "navigate_to_pose",

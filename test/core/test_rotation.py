@@ -29,16 +29,6 @@ def test_a_rotation_about_one_axis_leans_only_about_that_axis(angle: float) -> N
     assert lean(rotation(*about("z", angle))) == (0.0, 0.0)
 
 
-@given(angles, angles, st.floats(-math.pi, math.pi))
-def test_roll_about_the_leaning_axis_does_not_change_the_lean(yaw: float, pitch: float, roll: float) -> None:
-    (ax, ay, az, aw), (_, _, bz, bw) = about("y", yaw), about("z", roll)
-    if pitch:
-        px, _, _, pw = about("x", pitch)
-        ax, ay, az, aw = aw * px, ay * pw, -ay * px, aw * pw  # the pitch first
-    rolled = (ax * bw + ay * bz, ay * bw - ax * bz, aw * bz + az * bw, aw * bw - az * bz)
-    assert lean(rotation(*rolled)) == pytest.approx(lean(rotation(ax, ay, az, aw)), abs=1e-12)
-
-
 def drawn(source: random.Random) -> Pose:
     turn = [source.gauss(0.0, 1.0) for _ in range(4)]
     x, y, z, w = (number / math.hypot(*turn) for number in turn)

@@ -12,29 +12,25 @@ from typing import Any
 from unittest.mock import Mock
 
 import pytest
-from action_msgs.msg import GoalStatus
 from deltacharger.action import Dock, Undock
 from rclpy.action import client as action_client
 from rclpy.action.server import ActionServer, CancelResponse, GoalResponse
 from rclpy.node import Node
 from rclpy.task import Future
-from rclpy.time import Time
 
-from deltacharger_docking.codes import Code, DockingError
-from deltacharger_docking.observation import DockingOutcome
+from deltacharger_docking.codes import Code
 from deltacharger_mission.ros.others import unknown_dock
-from deltacharger_ros import action_caller, action_server
+from deltacharger_ros import action_caller
 from deltacharger_ros import client as client_module
-from deltacharger_ros.action_caller import FORGOTTEN, LOST, ActionCaller, SentGoal
-from deltacharger_ros.action_server import Work, WorkServer
+from deltacharger_ros.action_caller import LOST, ActionCaller, SentGoal
 from deltacharger_ros.client import ChargerClient, ClientError
 from deltacharger_ros.executor import Spinner
-from deltacharger_ros.messages import CODES, to_outcome, to_result
+from deltacharger_ros.messages import CODES, to_outcome
 from deltacharger_ros.outcomes import DockRequest, Pose
 
 from ..chargers import DEADLINE, wait_until
 from ..marks import rest
-from ..nodes import answer, options
+from ..nodes import options
 
 pytestmark = pytest.mark.ros
 
@@ -149,7 +145,7 @@ def test_a_charger_whose_answers_do_not_arrive_is_named_and_gets_no_goal(
 ) -> None:
     """As between root and another user: Fast DDS discovers over UDP and delivers over shared memory."""
     served: list[Any] = []
-    serve(served.append).drop(goal=10**6, result=10**6)
+    serve(served.append).drop(goal=10**6, cancel=10**6)
     monkeypatch.setattr(client_module, "_LOST_AFTER", 0.3)
     with pytest.raises(ClientError, match="answers do not arrive: run both as one user"):
         client.wait_until_it_answers(DEADLINE)
@@ -210,23 +206,6 @@ def test_a_result_that_was_lost_after_hours_is_requested_within_a_minute(monkeyp
     assert len(asked) < 250
 
 
-@pytest.mark.rest
-def test_feedback_shows_that_a_goal_was_accepted(
-    answering: Answering, client: ChargerClient, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    begun = time.monotonic()
-
-    def execute(handle: Any) -> None:
-        while time.monotonic() - begun < 3.0:
-            handle.publish_feedback(Dock.Feedback())
-            time.sleep(0.05)
-        handle.succeed()
-
-    answering(execute, goal=1)
-    monkeypatch.setattr(client_module, "_LOST_AFTER", 2.0)
-    assert client.dock(GOAL, deadline=DEADLINE).success
-
-
 @pytest.mark.version
 def test_a_goal_that_its_server_has_forgotten_is_lost(answering: Answering, client: ChargerClient) -> None:
     def execute(handle: Any) -> None:
@@ -236,56 +215,6 @@ def test_a_goal_that_its_server_has_forgotten_is_lost(answering: Answering, clie
     server = answering(execute)
     with pytest.raises(ClientError, match="no longer knows the goal 'dock'"):
         client.dock(GOAL)
-
-
-@pytest.fixture
-def working(context: Any, namespace: str, client: ChargerClient) -> Iterator[WorkServer]:
-    """The server of dock as docking_node has it, on a clock of its own; goals succeed at once."""
-    node = Node("docking_node", **options(context, namespace, use_sim_time=True))
-
-    def begin(handle: Any) -> Work:
-        work = Work(handle)
-        work.end(DockingOutcome(success=True, code=Code.NONE, energy=228.0))
-        return work
-
-    def result(outcome: DockingOutcome, work: Any) -> Dock.Result:
-        return to_result(Dock, outcome, energy=outcome.energy)
-
-    server = WorkServer(node, Dock, "dock", begin, lambda work: True, DockingOutcome.refused, DockingError, result)
-    spinner = Spinner(node)
-    yield server
-    spinner.close(server)
-
-
-def ended(server: WorkServer, client: ChargerClient) -> SentGoal:
-    """Return a goal that has succeeded, and half an hour later."""
-    wait_until(client._dock.server_is_ready, "the server")
-    sent = SentGoal(client.node, client._dock, Dock.Goal(), lambda message: None)
-    assert sent.finished.wait(DEADLINE)
-    assert sent.result.energy == 228.0
-    server._node.get_clock().set_ros_time_override(Time(seconds=1800))
-    wait_until(lambda: not server._server._goal_handles, "rcl to drop the goal")
-    return sent
-
-
-@pytest.mark.version
-def test_a_client_that_was_away_for_half_an_hour_gets_its_result(working: WorkServer, client: ChargerClient) -> None:
-    reply = answer(ended(working, client)._handle.get_result_async())
-    assert (reply.status, reply.result.energy) == (GoalStatus.STATUS_SUCCEEDED, 228.0)
-
-
-@pytest.mark.parametrize(("restarted", "end"), [(False, FORGOTTEN), (True, LOST)])
-def test_a_result_that_is_no_longer_kept_is_told_apart_from_a_restart(
-    working: WorkServer, client: ChargerClient, monkeypatch: pytest.MonkeyPatch, restarted: bool, end: int
-) -> None:
-    monkeypatch.setattr(action_server, "KEPT", 0)
-    sent = ended(working, client)
-    if restarted:
-        working._since = time.monotonic()
-    sent.finished.clear()  # as if the result had not arrived
-    client.node.executor.call_soon(sent._ask)  # type: ignore[union-attr]
-    assert sent.finished.wait(DEADLINE)
-    assert sent.end == end
 
 
 def test_a_goal_is_cancelled_although_its_acceptance_was_lost(answering: Answering, client: ChargerClient) -> None:
@@ -301,13 +230,6 @@ def test_a_goal_is_cancelled_although_its_acceptance_was_lost(answering: Answeri
     with pytest.raises(ClientError, match="did not answer the goal 'dock'"):
         client.dock(GOAL, cancel=cancel)
     assert ended.wait(DEADLINE)
-
-
-def test_a_goal_that_cannot_be_sent_ends_with_an_error_each_time(answering: Answering, client: ChargerClient) -> None:
-    answering(decides=False)
-    for _ in range(2):
-        with pytest.raises(ClientError, match="did not accept the goal 'undock'"):
-            client.undock("\udcff")
 
 
 @pytest.mark.parametrize(

@@ -192,22 +192,6 @@ def test_messages_are_served_in_order_during_a_slow_service(node: Node, serve: S
 
 
 @pytest.mark.version
-def test_added_entities_are_served_and_removed_ones_released(node: Node, serve: Serve) -> None:
-    spinner = serve()
-    received: list[int] = []
-    publisher = node.create_publisher(Int64, "topic", 10)
-    for number in range(5):
-        subscription = node.create_subscription(Int64, "topic", lambda message: received.append(message.data), 10)
-        wait_until(lambda: publisher.get_subscription_count() == 1, "the subscription")
-        publisher.publish(Int64(data=number))
-        wait_until(lambda number=number: received and received[-1] == number, f"message {number}")
-        node.destroy_subscription(subscription)
-        wait_until(lambda: publisher.get_subscription_count() == 0, "its end")
-    assert spinner.is_alive()
-    assert received == list(range(5))
-
-
-@pytest.mark.version
 def test_an_action_client_may_be_created_while_its_node_is_served(node: Node, monkeypatch: pytest.MonkeyPatch) -> None:
     add, came = Node.add_waitable, threading.Event()
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import threading
 import weakref
@@ -13,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -99,31 +97,6 @@ def test_a_wrong_parameter_stops_the_node_with_its_name(
 
     with pytest.raises(StartupError, match=message):
         Subject()
-
-
-@pytest.mark.parametrize(
-    ("text", "words", "refused"),
-    [
-        ("/**: {ros__parameters: {map: {frame: earth}}}", (), ""),
-        ("/**/subject: {ros__parameters: {rat: 5.0}}", (), "rat"),
-        ("/**: {ros__parameters: {rat: 5.0}}\n/robot/subject: {ros__parameters: {rat: 5.0}}", (), "rat"),
-        ("/**: {ros__parameters: {rat: 5.0}}", ("-p", "rat:=6.0"), "rat"),
-        ("/**: {ros__parameters: {rate: fast}}", (), "rate"),
-    ],
-)
-def test_only_a_section_for_all_nodes_may_name_parameters_of_others(
-    context: Any, tmp_path: Path, text: str, words: tuple[str, ...], refused: str
-) -> None:
-    file = tmp_path / "parameters.yaml"
-    file.write_text(text)
-    arguments = ["--ros-args", "--params-file", str(file), *words]
-    node = Node("subject", cli_args=arguments, **options(context, "/robot"))
-    try:
-        with pytest.raises(StartupError, match=f"'{refused}'") if refused else contextlib.nullcontext():
-            declare_all(node, Rates)
-            reject_unknown(node, arguments)
-    finally:
-        node.destroy_node()
 
 
 def test_a_node_that_fails_after_its_parameters_is_freed_at_once(context: Any, namespace: str) -> None:
@@ -241,23 +214,6 @@ def test_values_that_the_node_refuses_stay_unchanged(subject: Subject) -> None:
     assert subject.together(low=0.45) == ""
 
 
-def test_unchanged_values_are_no_change_whatever_is_fixed_or_refused_now(subject: Subject) -> None:
-    """So a file that `ros2 param dump` wrote can be loaded; it also has the parameters of every node."""
-    subject.refusal = "a goal is running"
-    subject.declare_parameter("unknown", math.nan, ParameterDescriptor(read_only=True))
-    heard: list[str] = []
-    subject.get_logger().info = lambda line: heard.append(line)  # type: ignore[method-assign,assignment]
-    every = {name: each.value for name, each in subject.get_parameters_by_prefix("").items()}
-    assert {"port", "files", "rate", "unknown", "use_sim_time"} <= set(every)
-    assert subject.each(**every) == [""] * len(every)
-    assert subject.together(**every) == ""
-    assert subject.each(rate=100, files=("",), unknown=math.nan) == [""] * 3
-    assert "read-only parameter: rate" in subject.together(**{**every, "rate": 101.0})
-    assert "read-only parameter: unknown" in subject.each(unknown=1.0)[0]
-    assert "low not set: a goal is running" in subject.together(**{**every, "low": 0.45})
-    assert (subject.taken, heard) == ([], [])
-
-
 def test_a_rate_can_change_and_a_stop_is_final() -> None:
     working: list[tuple[float, threading.Event]] = []
 
@@ -318,10 +274,9 @@ def test_every_node_uses_the_values_of_the_file_or_the_defaults(
     ("kind", "content", "beside", "reason"),
     [
         (ServoNode, CONTENT, {"position_p_gain": 434}, r"'position_p_gain' is 434, .*'servos_file'.* has 300"),
-        (KinematicsNode, CONTENT, {"torque_constant": 1.4}, r"'torque_constant' is 1.4, .*'servos_file'"),
-        (DockingNode, CONTENT, {"servo_stiffness": 15.0}, r"'servo_stiffness' is 15.0, .*'servos_file'.* has 9.5"),
         (KinematicsNode, "stifness: 9.0", {}, "did you mean 'stiffness'"),
         (DockingNode, "stiffness: 180.0", {}, "0.5 to 160"),
+        (KinematicsNode, "position_p_gain: 434.5", {}, "position_p_gain"),
         (ServoNode, None, {}, "cannot be read"),
     ],
 )

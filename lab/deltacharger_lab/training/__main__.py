@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,6 @@ import numpy as np
 from deltacharger_bringup.cli.arguments import SEED, between, file_to_read, file_to_write, integer
 from deltacharger_bringup.cli.main import main
 from deltacharger_bringup.cli.output import CommandError, Result, Tenths, WrongInput, log_line, wrong_input
-from deltacharger_core.arrays import holds_array
 from deltacharger_core.machine import CONTACT_FORCE
 from deltacharger_docking.codes import DockingError
 from deltacharger_lab.campaigns.recording import Protocol, record_paper
@@ -151,7 +151,7 @@ def evaluate(options: argparse.Namespace) -> Result:
     data = _load(options.data)
     file_to_read("--model", options.model)
     with wrong_input(TactileError):
-        if holds_array(options.model, "meta"):
+        if zipfile.is_zipfile(options.model) and "meta.npy" in zipfile.ZipFile(options.model).namelist():
             estimator = TrainablePoseEstimator.load(options.model)
             name, trained_on = estimator.name, estimator.about.get("data")
             found = evaluate_pose(estimator, data)
