@@ -46,12 +46,7 @@ class NoServosBehindBoard(PortMissing):
 
 
 class PortNotSerial(PortError):
-    """The path is not a serial port. Example: a directory, a file, /dev/null.
-
-    Args:
-        port: path of the port.
-        reason: what the path is.
-    """
+    """The path is not a serial port. Example: a directory, a file, /dev/null."""
 
     what = "this is not a serial port"
     advice = "set the parameter 'port' to a serial device, such as one in /dev/serial/by-id"
@@ -131,25 +126,6 @@ class HandshakeError(DriverError, ConnectionError):
         super().__init__(f"{port}: " + "; ".join(self.faults))
 
 
-class WrongDevice(DriverError, ConnectionError):
-    """Another of the charger's devices is on this port. Example: the cables of servos and board are swapped.
-
-    Args:
-        port: path of the port.
-        expected: device that should be on the port.
-        found: device that is on the port.
-    """
-
-    def __init__(self, port: str, expected: str, found: str) -> None:
-        self.port = port
-        self.expected = expected
-        self.found = found
-        super().__init__(
-            f"{port}: found {found}, expected {expected}; swap the two cables, or the parameters 'port' of servo_node "
-            "and tactile_node"
-        )
-
-
 class ServoFault(DriverError, RuntimeError):
     """A servo rejected an instruction or reports a hardware error. Example: overload after a jam.
 
@@ -197,17 +173,3 @@ class TrajectoryRefused(DriverError, ValueError):
     def __init__(self, reason: str) -> None:
         self.reason = reason
         super().__init__(f"trajectory refused: {reason}")
-
-
-class WrongThread(DriverError, RuntimeError):
-    """A bus was used from a thread that does not own it.
-
-    Args:
-        owner: name of the owning thread.
-        caller: name of the calling thread.
-    """
-
-    def __init__(self, owner: str, caller: str) -> None:
-        self.owner = owner
-        self.caller = caller
-        super().__init__(f"the bus belongs to thread '{owner}', not '{caller}'; use it from one thread only")

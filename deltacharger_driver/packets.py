@@ -13,8 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from deltacharger_core.texts import Picklable
-
 _LONGEST_RUN = 254
 VERSION = 1
 _HEADER = struct.Struct("<BBHQBBH")
@@ -28,16 +26,8 @@ STATUS = 0x55  # the instruction byte of a servo's answer
 PLAIN = b"\xff\xff\xfd"  # inside a packet another FD follows it, so that it starts none
 
 
-class CobsError(Picklable, ValueError):
-    """Bytes that no encoder produces.
-
-    Args:
-        reason: what is wrong with them.
-    """
-
-    def __init__(self, reason: str) -> None:
-        self.reason = reason
-        super().__init__(f"not a COBS sequence: {reason}")
+class CobsError(ValueError):
+    """Bytes that no encoder produces."""
 
 
 def cobs_encode(data: bytes) -> bytes:
@@ -54,22 +44,14 @@ def cobs_encode(data: bytes) -> bytes:
     """
     out = bytearray()
     for run in data.split(b"\0"):
-        if len(run) >= _LONGEST_RUN:
-            run = _stuff_long(run, out)
+        while len(run) >= _LONGEST_RUN:
+            out += b"\xff" + run[:_LONGEST_RUN]
+            run = run[_LONGEST_RUN:]
         out.append(len(run) + 1)
         out += run
     if not run and data and data[-1]:
         del out[-1]  # a full run at the very end needs no closing code
     return bytes(out)
-
-
-def _stuff_long(run: bytes, out: bytearray) -> bytes:
-    """Move all full runs of 254 bytes from `run` to `out` and return the rest, which may be empty."""
-    full = len(run) // _LONGEST_RUN
-    for index in range(full):
-        out.append(0xFF)
-        out += run[index * _LONGEST_RUN : (index + 1) * _LONGEST_RUN]
-    return run[full * _LONGEST_RUN :]
 
 
 def cobs_decode(data: bytes) -> bytes:
@@ -81,10 +63,8 @@ def cobs_decode(data: bytes) -> bytes:
     Raises:
         CobsError: `data` is empty, contains a zero or ends inside a run.
     """
-    if not data:
-        raise CobsError("it is empty")
-    if 0 in data:
-        raise CobsError("it contains a zero")
+    if not data or 0 in data:
+        raise CobsError("no bytes, or a zero among them")
     runs = []
     position, end = 0, len(data)
     while True:
@@ -97,7 +77,7 @@ def cobs_decode(data: bytes) -> bytes:
             runs.append(b"\0")
         position = following
     if following > end:
-        raise CobsError(f"it ends {following - end} bytes inside a run")
+        raise CobsError("it ends inside a run")
     return b"".join(runs)
 
 
@@ -142,17 +122,9 @@ class DecoderCounters:
 
     bytes: int = 0
     packets: int = 0
-    cobs_errors: int = 0
-    crc_errors: int = 0
-    length_errors: int = 0
+    damaged: int = 0  # pieces between delimiters that were not an intact packet, or have reserved bytes that are not 0
     version_errors: int = 0
-    header_errors: int = 0  # intact packets whose reserved bytes are not 0
     refused_version: int | None = None  # the last one refused
-
-    @property
-    def damaged(self) -> int:
-        """Number of pieces between delimiters that were not an intact packet."""
-        return self.cobs_errors + self.crc_errors + self.length_errors
 
 
 class PacketDecoder:
@@ -186,24 +158,18 @@ class PacketDecoder:
     def _decode(self, piece: bytes) -> Packet | None:
         if self._overlong or len(piece) > self._longest:
             self._overlong = False
-            self.counters.length_errors += 1
+            self.counters.damaged += 1
             return None
-        packet = self._packet(piece) if piece else None
-        self.counters.packets += packet is not None
-        return packet
+        return self._packet(piece) if piece else None
 
     def _packet(self, piece: bytes) -> Packet | None:
         try:
             data = cobs_decode(piece)
         except CobsError:
-            self.counters.cobs_errors += 1
-            return None
-        if len(data) < _HEADER.size + _CRC.size:
-            self.counters.length_errors += 1
-            return None
+            data = b""
         body = data[: -_CRC.size]
-        if zlib.crc32(body) != _CRC.unpack(data[-_CRC.size :])[0]:
-            self.counters.crc_errors += 1
+        if len(body) < _HEADER.size or zlib.crc32(body) != _CRC.unpack(data[-_CRC.size :])[0]:
+            self.counters.damaged += 1
             return None
         version, kind, sequence, device_time, flags, sample_format, reserved = _HEADER.unpack_from(body)
         if version != VERSION:
@@ -211,8 +177,9 @@ class PacketDecoder:
             self.counters.refused_version = version
             return None
         if reserved:
-            self.counters.header_errors += 1
+            self.counters.damaged += 1
             return None
+        self.counters.packets += 1
         return Packet(kind, body[_HEADER.size :], sequence, device_time, flags, sample_format)
 
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from deltacharger_core.machine import (
     BAUD_RATE,
     BEHIND_BOARD,
-    CURRENT_BOUND,
     EXTENDED_TICKS,
     FRAME_RATE,
     GAIN_MAX,
@@ -33,10 +32,9 @@ BOARD_MARGIN = 0.03
 """s added if the servos are connected to the board: pad sampling and tactile frames have precedence, and on a busy
 computer bytes also wait for tactile_node."""
 
-
 SERVOS_FOLLOW = {name: name for name in ("torque_constant", "position_p_gain", "position_i_gain", "position_d_gain")}
 """Parameters of servo_node that a file of measured servos sets, and their names in that file."""
-OF_TYPE = (*SERVOS_FOLLOW, "current_bound", "current_max")
+OF_TYPE = (*SERVOS_FOLLOW, "current_max")
 """Parameters of servo_node that go with the type of the servos where nobody sets them; the defaults are the MX-64's."""
 
 
@@ -61,7 +59,6 @@ class ServoNodeParameters(Bounded):
         (1, 1, 1), -1, 1, "", "per limb: 1 if the count rises with the angle, -1 if it falls"
     )
     torque_constant: float = number(TORQUE_CONSTANT, 0.1, 10.0, "N·m/A", "torque per current of a servo")
-    current_bound: float = number(CURRENT_BOUND, 0.0, STALL_CURRENT, "A", "current bound if a trajectory sets none")
     current_max: float = number(STALL_CURRENT, 0.0, STALL_CURRENT, "A", "largest current bound a trajectory may set")
     position_p_gain: int = number(
         POSITION_P_GAIN, 1, GAIN_MAX, "", "servos' position P gain, register 84: 434 = 15 N·m/rad; the vendor's is 850"
@@ -76,10 +73,10 @@ class ServoNodeParameters(Bounded):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for low, high in (("joint_min", "joint_max"), ("current_bound", "current_max")):
-            smaller, larger = getattr(self, low), getattr(self, high)
-            if smaller > larger or (smaller == larger and low == "joint_min"):
-                raise ParameterError(low, smaller, f"{smaller!r} is not below '{high}' ({larger!r})")
+        if self.joint_min >= self.joint_max:
+            raise ParameterError(
+                "joint_min", self.joint_min, f"{self.joint_min!r} is not below 'joint_max' ({self.joint_max!r})"
+            )
 
 
 @dataclass(frozen=True)
@@ -87,6 +84,4 @@ class TactileNodeParameters(Bounded):
     """Parameters of tactile_node."""
 
     port: str = words("/dev/ttyACM0", "serial port of the board")
-    baud_rate: int = number(BAUD_RATE, 9600, 4_000_000, "baud", "speed on a UART ({unit}); any on USB")
     rate: float = number(FRAME_RATE, 1.0, 200.0, "Hz", "tactile frames per second")
-    pitch: float = number(0.0024, 0.0001, 0.1, "m", "distance between neighbouring taxels")

@@ -13,7 +13,7 @@ from typing import Literal
 
 from deltacharger_core.machine import BAUD_RATE, SERVO_IDS
 from deltacharger_core.servo_types import SPEEDS, model_name
-from deltacharger_driver.board.protocol import POWER_RATE, Hello, PacketError, PacketType, decode_hello, is_from_board
+from deltacharger_driver.board.protocol import POWER_RATE, Hello, PacketError, PacketType, decode_hello
 from deltacharger_driver.packets import (
     BROADCAST,
     HEADER,
@@ -134,7 +134,7 @@ def _find_board(port: RawPort) -> tuple[PortIdentity | None, int]:
                 continue
             text = f"board, version {hello.major}.{hello.minor}, {hello.rows} x {hello.columns} taxels per pad"
             return PortIdentity(port.port, "board", text, hello=hello, version=hello.major), counters.bytes
-    if any(is_from_board(packet.type) for packet in packets):
+    if packets:
         text = "board, but it does not answer HELLO"
         return PortIdentity(port.port, "board", text, version=1), counters.bytes
     if counters.refused_version is not None:
@@ -152,12 +152,7 @@ def _receive(port: RawPort, duration: float) -> bytes:
     return bytes(received)
 
 
-def find_servos(
-    port: RawPort,
-    speeds: Iterable[int],
-    ids: Iterable[int] = SERVO_IDS,
-    patience: float = _PATIENCE,
-) -> list[FoundServo]:
+def find_servos(port: RawPort, speeds: Iterable[int], ids: Iterable[int], patience: float) -> list[FoundServo]:
     """Ping all servos at each speed; arguments as in `identify`. The port stays at the last speed.
 
     Raises:

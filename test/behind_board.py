@@ -39,7 +39,7 @@ class BehindEmulator:
         """Plug the board in, and wait for the servos' port."""
         self._plug()
         nothing = [lambda *_: None] * 3
-        self._keeper = BoardKeeper(str(self._board_port), 1_000_000, 120.0, *nothing, Path(self.path))
+        self._keeper = BoardKeeper(str(self._board_port), 120.0, *nothing, Path(self.path))
         self._keeper.start()
         wait_until(Path(self.path).exists)
         return self

@@ -8,13 +8,9 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-import rclpy.subscription
 from rclpy.parameter import Parameter
 
 from .waiting import DEADLINE
-
-TELLS_PUBLISHERS = hasattr(rclpy.subscription, "MessageInfo")
-"""Whether rclpy's message info has the publisher's id, as in Kilted."""
 
 
 def options(context: Any, namespace: str = "", **parameters: Any) -> dict[str, Any]:

@@ -47,7 +47,6 @@ class _Hardware:
     servo_port: str = ""
     board_port: str = ""
     servo_speed: int = BAUD_RATE
-    board_speed: int = BAUD_RATE
     ids: tuple[int, ...] = SERVO_IDS
     wired: bool = False  # the electrodes are wired to the battery
     current_max: float | None = None
@@ -141,7 +140,6 @@ def _hardware(options: argparse.Namespace) -> _Hardware:
     if "tactile_node" in scene.nodes:
         values = scene.node_parameters("tactile_node", {})
         hardware.board_port = hardware.board_port or str(values.get("port", ""))
-        hardware.board_speed = int(values.get("baud_rate", BAUD_RATE))
     return hardware
 
 
@@ -184,12 +182,12 @@ def _examine_ports(hardware: _Hardware) -> list[Finding]:
         found += _examine_servos(hardware, look)
     if board:
         text = f"checking the board on {board} ..."
-        speed, wired, clear_weld = hardware.board_speed, hardware.wired, hardware.clear_weld
+        wired, clear_weld = hardware.wired, hardware.clear_weld
 
         def check() -> Iterator[Finding]:
             from deltacharger_bringup.doctor.board import examine_board
 
-            return examine_board(board, speed, wired=wired, clear_weld=clear_weld)
+            return examine_board(board, wired=wired, clear_weld=clear_weld)
 
         found += _examine("board", board, text, check)
     return found
@@ -206,7 +204,7 @@ def _examine_servos(hardware: _Hardware, check: Callable[[str], Iterable[Finding
     def behind() -> Iterator[Finding]:
         from deltacharger_driver.board.keeper import servos_behind
 
-        with servos_behind(hardware.board_port, hardware.board_speed) as path:
+        with servos_behind(hardware.board_port) as path:
             yield ok("servo port", f"the servos are on the board at {hardware.board_port}")
             found.extend(checked("servos", lambda: check(path)))
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from deltacharger_bringup.doctor.findings import Finding, failed, hint, ok, wrong
-from deltacharger_core.machine import BATTERY_MAX, BATTERY_MIN, CONTACT_FORCE, Port, port_of
+from deltacharger_core.machine import BATTERY_MAX, BATTERY_MIN, BAUD_RATE, CONTACT_FORCE, Port, port_of
 from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.board.protocol import (
     HEARTBEAT_PERIOD,
@@ -31,7 +31,8 @@ from deltacharger_driver.board.protocol import (
     probe_problem,
     weld_problem,
 )
-from deltacharger_driver.errors import NoAnswer, WrongDevice
+from deltacharger_driver.errors import NoAnswer
+from deltacharger_driver.port_identity import identify
 from deltacharger_tactile.estimator import Limits
 
 WATCHED = 2.0  # s of stream
@@ -43,31 +44,30 @@ _CABLE_ADVICE = "check plugs and cables; close other busy programs"
 
 
 def examine_board(
-    path: str, baud_rate: int, watched: float = WATCHED, wired: bool = False, clear_weld: bool = False
+    path: str, watched: float = WATCHED, wired: bool = False, clear_weld: bool = False
 ) -> Iterator[Finding]:
     """Greet the board on a port, watch its stream, read its power stage, probe once.
 
     Args:
         path: of the port; no other program may have it open.
-        baud_rate: bit/s.
         watched: s of stream.
         wired: the electrodes are wired to the battery (power: none): no power stage and no probe.
         clear_weld: clear a latched weld, if nothing is live.
     """
     frames: list[TactileSample] = []
     powers: list[PowerSample] = []
-    link = BoardLink(path, baud_rate, on_tactile=frames.append, on_power=powers.append)
+    link = BoardLink(path, on_tactile=frames.append, on_power=powers.append)
     try:
         hello = link.open()
-    except WrongDevice:
-        advice = "exchange the two cables, or the two ports in the scene or on the command line"
-        yield wrong("board", f"{path}: the servos are here, not the board", advice)
-        return
     except BoardMismatch as error:
         yield failed("board", error, "flash the firmware of this version, or give the right port")
         return
     except NoAnswer as error:
-        yield failed("board", error, "check the board's supply, both lines of its cable, and its firmware")
+        if identify(path, (BAUD_RATE, 57600)).kind == "servos":
+            advice = "exchange the two cables, or the two ports in the scene or on the command line"
+            yield wrong("board", f"{path}: the servos are here, not the board", advice)
+        else:
+            yield failed("board", error, "check the board's supply, both lines of its cable, and its firmware")
         return
     try:
         yield from _firmware(link, hello)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who keeps the contactor closed: the lease, its guard, and a probe that concurrent callers share. No ROS.
+"""Who keeps the contactor closed: the lease and its guard. No ROS.
 
 Energy never depends on a live host. The guard relays a live lease as the board's heartbeat and never sends a heartbeat
 without one. Both have the same deadline, so the heartbeat stops in time even if the guard hangs.
@@ -14,9 +14,9 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Generic, Protocol, TypeVar
 
 from deltacharger_core.machine import CONTACT_FORCE, LONGEST_LEASE, PROBE_LIFETIME, ChargeLimits
+from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.board.protocol import (
     LIMITS,
     AckError,
@@ -33,111 +33,14 @@ from deltacharger_driver.board.protocol import (
 )
 from deltacharger_driver.errors import DriverError, NoAnswer
 
-Result = TypeVar("Result")
-
-_REFUSAL = 0.05  # s from the start of a call until its error is raised: limits the cost of repeated calls
-_LATER = 16  # later callers that may reuse one result
 LONGEST_NAME = 64
 """Largest length of a holder's name and of its token."""
 
 STALE_FRAME = 0.1  # s; a frame sampled longer ago does not show contact now
 _STALE_IN_LEASE = LONGEST_LEASE  # s, the same during a lease
 STALE_POWER = 0.5  # s
-_PROBE_SHARED = 0.05  # s for which a probe that several callers awaited is reused
 _FRAMES = 32  # kept; at the highest rate 20 arrive within STALE_FRAME
 _CONFIRM_TIME = 0.3  # s to see the contactor open after the board accepted the command
-
-
-class SharedCall(Generic[Result]):
-    """Calls an action for any number of threads, never twice at a time. Thread-safe.
-
-    A caller that arrives while it runs waits for that result or error. Whatever the number of callers, each waits
-    at most for the running call and one more.
-
-    Args:
-        action: what is called; takes a moment.
-        lasts: s for which later callers reuse a result that several callers awaited. Without it, each caller queued
-            for a thread would cost its own call.
-        clock: s.
-    """
-
-    def __init__(self, action: Callable[[], Result], lasts: float, clock: Callable[[], float] = time.monotonic) -> None:
-        self._action = action
-        self._lasts = lasts
-        self._clock = clock
-        self._changed = threading.Condition()
-        self._running: _Run[Result] | None = None
-        self._last: _Run[Result] | None = None  # the last success, if several callers awaited it
-        self._priority = 0  # number of blocks that wait to enter before the next call
-
-    def __call__(self) -> Result:
-        """Return the action's result, or raise its error."""
-        with self._changed:
-            run = self._running
-            last = self._last
-            if run is None and last and last.later < _LATER and self._clock() - last.ended < self._lasts:
-                last.later += 1
-                return last.outcome()
-            if run is None:
-                self._changed.wait_for(lambda: not self._priority or self._running)
-                run = self._running
-            begins = run is None
-            if run is None:
-                run = self._running = _Run(self._clock())
-            run.callers += 1
-        if begins:
-            self._call(run)
-        run.done.wait()
-        if run.error is not None:
-            time.sleep(max(run.began + _REFUSAL - self._clock(), 0.0))
-        return run.outcome()
-
-    def forget(self) -> None:
-        """Discard the last result for later callers."""
-        with self._changed:
-            self._last = None
-
-    def _call(self, run: _Run[Result]) -> None:
-        try:
-            run.result = self._action()
-        except BaseException as error:
-            run.error = error
-        finally:
-            run.ended = self._clock()
-            with self._changed:
-                self._running = None
-                self._last = run if run.callers > 1 and run.error is None else None
-                self._changed.notify_all()
-            run.done.set()
-
-    def __enter__(self) -> None:
-        """Wait until the action is idle and block new calls until the exit."""
-        with self._changed:
-            self._priority += 1
-            self._changed.wait_for(lambda: self._running is None)
-
-    def __exit__(self, *exception: object) -> None:
-        """Allow calls again."""
-        with self._changed:
-            self._priority -= 1
-            self._changed.notify_all()
-
-
-class _Run(Generic[Result]):
-    """One call: its waiting and later callers, its outcome, and its start and end (s)."""
-
-    def __init__(self, began: float) -> None:
-        self.done = threading.Event()
-        self.result: Result | None = None
-        self.error: BaseException | None = None
-        self.callers = self.later = 0
-        self.began, self.ended = began, 0.0
-
-    def outcome(self) -> Result:
-        """Return the result or raise the error."""
-        if self.error is not None:
-            raise self.error
-        return self.result  # type: ignore[return-value]
 
 
 class LeaseRefused(DriverError, PermissionError):
@@ -277,28 +180,6 @@ class ContactorLease:
         self.openings += 1
 
 
-class ContactorLink(Protocol):
-    """What a guard needs of a `BoardLink`; each command raises `DriverError` if the board refuses or is not there."""
-
-    def keep_alive(self, until: float) -> None:
-        """Send heartbeats until `until`, s."""
-
-    def stop_heartbeat(self) -> None:
-        """Send no further heartbeat."""
-
-    def contactor(self, close: bool, limits: ChargeLimits | None = None) -> None:
-        """Close within limits, or open."""
-
-    def limit_current(self, current: float) -> None:
-        """Change the largest current (A) of a closed contactor."""
-
-    def clear_weld(self) -> None:
-        """Clear a latched weld."""
-
-    def probe(self) -> ProbeResult:
-        """Look at the port between the electrodes."""
-
-
 class ContactorGuard:
     """Serves closes, openings and probes, and ends the lease on every opening or fault.
 
@@ -317,7 +198,7 @@ class ContactorGuard:
 
     def __init__(
         self,
-        link: ContactorLink,
+        link: BoardLink,
         on_lease: Callable[[], None] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -327,7 +208,7 @@ class ContactorGuard:
         self._lease = ContactorLease()
         self._lock = threading.Lock()  # lease and observations; never held while waiting
         self._commands = threading.Lock()  # one contactor command at a time
-        self._probe = SharedCall(self._measure, _PROBE_SHARED, clock)
+        self._probing = threading.Lock()  # one probe at a time, and none during a close
         self._power_seen = threading.Condition(self._lock)
         self._frames: deque[TactileSample] = deque(maxlen=_FRAMES)
         self._power: PowerSample | None = None
@@ -379,7 +260,7 @@ class ContactorGuard:
             self._was_closed = power.contactor_closed
             opened = new_fault or (bool(self._lease.holder) and (fell or power.fault != 0))
             if opened:
-                self._opened()
+                self._lease.opened()
             self._power_seen.notify_all()
         if opened:
             self._link.stop_heartbeat()
@@ -387,14 +268,14 @@ class ContactorGuard:
     def interrupted(self) -> None:
         """Handle a vanished port or a reboot of the board: the contactor opens or is open."""
         with self._lock:
-            self._opened()
+            self._lease.opened()
             self._frames.clear()
             self._power = None
             self._was_closed = False
         self._link.stop_heartbeat()
 
     def close(self, holder: str, duration: float, token: str = "", limits: ChargeLimits | None = None) -> float:
-        """Close the contactor for a lease, or renew it. A close waits for a running probe and precedes the next one.
+        """Close the contactor for a lease, or renew it. A close waits for a running probe.
 
         Args:
             holder: name of the client.
@@ -416,7 +297,7 @@ class ContactorGuard:
                 self._open_if_lapsed()
                 with self._lock:
                     self._check(holder, duration, token, limits, self._clock())
-            with self._probe:
+            with self._probing:
                 return self._close(holder, duration, token, limits)
         except DriverError as error:
             with self._lock:
@@ -452,11 +333,6 @@ class ContactorGuard:
         self._check_board(now)
         self._lease.check(holder, duration, now, token, limits)
         self._check_contact(now)
-
-    def _opened(self) -> None:
-        """Record an opening; call it with the lock held."""
-        self._lease.opened()
-        self._probe.forget()
 
     def latched_fault(self) -> str:
         """Return the latched fault and how to clear it; '' if there is none. A weld stays over boards that forget."""
@@ -505,7 +381,7 @@ class ContactorGuard:
 
     def _end_lease(self) -> None:
         with self._lock:
-            self._opened()
+            self._lease.opened()
         self._link.stop_heartbeat()
 
     def open(self) -> None:
@@ -552,14 +428,15 @@ class ContactorGuard:
             self._link.contactor(False)
 
     def probe(self) -> ProbeResult:
-        """Measure the circuit between the electrodes; takes up to 250 ms. Concurrent callers share the result.
+        """Measure the circuit between the electrodes; takes up to 250 ms. Another caller waits.
 
         Raises:
             LeaseRefused: the contactor is closed, a weld is latched, or an opening voided the result.
             CommandRefused: an interlock of the board.
             DriverError: the board cannot be reached.
         """
-        return self._probe()
+        with self._probing:
+            return self._measure()
 
     def _measure(self) -> ProbeResult:
         with self._commands:

@@ -117,19 +117,18 @@ class PassThrough:
 
 
 @contextlib.contextmanager
-def servos_behind(port: str, baud_rate: int) -> Iterator[str]:
+def servos_behind(port: str) -> Iterator[str]:
     """Yield the path of a port for the servos connected to a board; only while no tactile_node runs.
 
     Args:
         port: of the board; no other program may have it open.
-        baud_rate: of the link to it, bit/s.
 
     Raises:
-        PortError, NoAnswer, BoardMismatch, WrongDevice: as for `BoardLink.open`.
+        PortError, NoAnswer, BoardMismatch: as for `BoardLink.open`.
         NoServosBehindBoard: no servos are connected to this board.
     """
     with contextlib.ExitStack() as stack:
-        link = BoardLink(port, baud_rate, on_servo=lambda data: servos.take(data))
+        link = BoardLink(port, on_servo=lambda data: servos.take(data))
         stack.callback(link.close)
         if not link.open().carries_servos:
             raise NoServosBehindBoard(port)
@@ -155,7 +154,6 @@ class BoardKeeper:
 
     Args:
         port: path of the port.
-        baud_rate: speed on a UART.
         rate: tactile frames per second, Hz.
         on_tactile: called in the reader's thread.
         on_power: called in the reader's thread.
@@ -166,7 +164,6 @@ class BoardKeeper:
     def __init__(
         self,
         port: str,
-        baud_rate: int,
         rate: float,
         on_tactile: Callable[[TactileSample], None],
         on_power: Callable[[PowerSample], None],
@@ -186,7 +183,6 @@ class BoardKeeper:
         self.problem = f"{port}: not connected yet"
         self.link = BoardLink(
             port,
-            baud_rate,
             on_tactile=self._take_tactile,
             on_power=self._take_power,
             on_boot=self._take_boot,

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import struct
 import threading
@@ -37,9 +36,8 @@ from deltacharger_driver.board.protocol import (
     encode_servo_speed,
 )
 from deltacharger_driver.board.receiver import BoardReceiver, BoardRequest, BoardRequests
-from deltacharger_driver.errors import NoAnswer, PortError, PortGone, WrongDevice
+from deltacharger_driver.errors import NoAnswer, PortGone
 from deltacharger_driver.packets import VERSION, DecoderCounters, Packet, PacketDecoder, encode_packet
-from deltacharger_driver.port_identity import find_servos
 from deltacharger_driver.ports import RawPort
 
 _NEVER = float("-inf")
@@ -140,24 +138,8 @@ def explain_silence(port: str, before: DecoderCounters, now: DecoderCounters, er
         return NoAnswer(f"{port} (the board sends other packets)", error.action, error.timeout)
     if now.bytes > before.bytes:
         count = now.bytes - before.bytes
-        return BoardMismatch(port, f"received {count} bytes, but no intact packet: wrong baud rate or device")
+        return BoardMismatch(port, f"received {count} bytes, but no intact packet: another device, or a bad line")
     return error
-
-
-def refuse_servos(port: str, baud_rate: int) -> None:
-    """Look for servos at the port's speed and at the factory default.
-
-    Raises:
-        WrongDevice: they answer.
-    """
-    with contextlib.suppress(PortError):
-        opened = RawPort(port, baud_rate)
-        try:
-            found = find_servos(opened, dict.fromkeys((baud_rate, 57600)), ids=())
-        finally:
-            opened.close()
-        if found:
-            raise WrongDevice(port, "the board with the pads and the power stage", "the servos")
 
 
 class BoardLink:
@@ -175,7 +157,6 @@ class BoardLink:
 
     Args:
         port: path of the port.
-        baud_rate: speed on a UART; any on USB.
         on_tactile: called in the reader's thread with every `TactileSample`.
         on_power: called in the reader's thread with every `PowerSample`.
         on_boot: called in the reader's thread when the board has rebooted: it does not stream, is not tared, and its
@@ -187,7 +168,6 @@ class BoardLink:
     def __init__(
         self,
         port: str,
-        baud_rate: int = BAUD_RATE,
         on_tactile: Callable[[TactileSample], None] | None = None,
         on_power: Callable[[PowerSample], None] | None = None,
         on_boot: Callable[[], None] | None = None,
@@ -195,7 +175,6 @@ class BoardLink:
         on_servo: Callable[[bytes], None] | None = None,
     ) -> None:
         self.port = port
-        self.baud_rate = baud_rate
         self._on_boot = on_boot
         self._on_gone = on_gone
         self._decoder = PacketDecoder()
@@ -228,11 +207,10 @@ class BoardLink:
             PortError: the port cannot be opened (missing, not serial, busy, denied) or vanished again.
             NoAnswer: no intelligible answer; the message describes the bytes received.
             BoardMismatch: the board speaks another version or has other array sizes.
-            WrongDevice: the servos are connected to this port.
         """
         if self._port is not None:
             raise RuntimeError(f"{self.port} is already open; close the link first")
-        self._port = RawPort(self.port, self.baud_rate)
+        self._port = RawPort(self.port, BAUD_RATE)
         self.gone = None
         self._closing.clear()
         counters = self._decoder.counters
@@ -245,10 +223,8 @@ class BoardLink:
         self._reader.start()
         try:
             return self._greet(before)
-        except BaseException as error:
+        except BaseException:
             self.close()
-            if isinstance(error, NoAnswer | BoardMismatch) and self._decoder.counters.packets == before.packets:
-                refuse_servos(self.port, self.baud_rate)
             raise
 
     def _greet(self, before: DecoderCounters) -> Hello:
@@ -289,11 +265,6 @@ class BoardLink:
     def decoder_counters(self) -> DecoderCounters:
         """A copy of the decoder's counters: bytes, packets and damage."""
         return replace(self._decoder.counters)
-
-    @property
-    def drift(self) -> float:
-        """Estimated drift of the board's clock against the host's, s/s."""
-        return self._receiver.drift
 
     @property
     def heartbeat_lateness(self) -> Lateness | None:

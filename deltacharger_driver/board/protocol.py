@@ -42,7 +42,6 @@ _POWER = struct.Struct("<fffBBHf")
 _HELLO = struct.Struct("<BBBBIfBBHf")
 _CLOSE = struct.Struct("<BBHffff")
 _LIMIT = struct.Struct("<Bf")
-_HELLO_BEFORE = struct.Struct("<BBBBIf")  # of boards before minor version 2
 _ACK = struct.Struct("<BBH")
 _PROBE = struct.Struct("<ff")
 _RATE = struct.Struct("<f")
@@ -124,10 +123,6 @@ class BoardFault(enum.IntEnum):
 
 _SAMPLE_FORMATS = (SampleFormat.U8, SampleFormat.U12, SampleFormat.U16)
 
-_FROM_BOARD = frozenset(
-    {PacketType.TACTILE, PacketType.POWER, PacketType.HELLO, PacketType.PING, PacketType.ACK, PacketType.SERVO}
-)
-
 
 class PacketError(DriverError, ValueError):
     """A packet's payload or header is invalid for its type. Example: a TACTILE packet of 12 bytes.
@@ -181,11 +176,6 @@ def check_header(packet: Packet) -> None:
         raise PacketError(packet.type, f"sample format {packet.format} is invalid for this type")
     if packet.flags & ~(_ALL_FLAGS if tactile else 0):
         raise PacketError(packet.type, f"flags {packet.flags:#04x} are invalid for this type")
-
-
-def is_from_board(type: int) -> bool:
-    """Return whether the board sends packets of this type."""
-    return type in _FROM_BOARD
 
 
 _EXPLANATIONS = {
@@ -396,18 +386,13 @@ def encode_hello(hello: Hello) -> bytes:
 def decode_hello(payload: bytes) -> Hello:
     """Read the payload of the board's HELLO packet. The caller checks version and array sizes.
 
-    An older board's, which is shorter, is read too, so that its version can be named.
-
     Raises:
         PacketError: wrong length, a rate that is negative or not finite, a stage that is not declared.
     """
-    if len(payload) == _HELLO_BEFORE.size:
-        hello = Hello(*_HELLO_BEFORE.unpack(payload))
-    else:
-        *known, up, zero, reserved, voltage = _unpack(_HELLO, payload, PacketType.HELLO)
-        hello = Hello._make((*known, up == 1, voltage))
-        if up > 1 or zero or reserved or voltage <= 0.0 or math.isinf(voltage):
-            raise PacketError(PacketType.HELLO, "its power stage is not declared as docs/board-link.md says")
+    *known, up, zero, reserved, voltage = _unpack(_HELLO, payload, PacketType.HELLO)
+    hello = Hello._make((*known, up == 1, voltage))
+    if up > 1 or zero or reserved or voltage <= 0.0 or math.isinf(voltage):
+        raise PacketError(PacketType.HELLO, "its power stage is not declared as docs/board-link.md says")
     _check_rate(PacketType.HELLO, hello.rate)
     return hello
 

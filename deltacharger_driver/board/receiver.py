@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import itertools
 import logging
 import math
 import threading
@@ -35,10 +34,7 @@ from deltacharger_driver.board.protocol import (
 )
 from deltacharger_driver.packets import Packet
 
-WINDOW = 30.0  # s of history; with 8 s, one second of late packets on a loaded host tilts the line by milliseconds
-_BUCKET = 0.5  # s, one minimum each
-_SHORTEST_BASELINE = 2.5  # s of history before a drift is estimated
-_LARGEST_DRIFT = 500e-6  # s/s; two poor crystals differ by 200e-6
+_WINDOW, _BUCKET = 5.0, 0.5  # s of history, in which two poor crystals drift by 1 ms; of one minimum
 _log = logging.getLogger(__name__)
 _CLOCK_STEP_BACK = 0.5  # s; if the device clock falls further, it has restarted
 
@@ -48,8 +44,6 @@ class DeviceClock:
 
     Every packet gives `received - device_time`: the true offset plus a delay that is never negative. The minimum over
     the last seconds is the offset plus the shortest delay (Cristian, 1989; the one-way form of NTP's clock filter).
-    The drift between the crystals is the slope of the closest line below the minima of all half-second buckets: an edge
-    of their lower convex hull (Moon, Skelly and Towsley, 1999). So late packets do not tilt it.
 
     The shortest delay itself (wire time, 3.2 ms for a u12 packet at 1 Mbaud) cannot be measured one-way and remains in
     the result.
@@ -60,10 +54,7 @@ class DeviceClock:
 
     def reset(self) -> None:
         """Forget everything; the device's clock restarted."""
-        self._minima: list[tuple[float, float]] = []  # device time, smallest received - device time
-        self._bucket = -math.inf
-        self.drift = 0.0  # s/s, positive if the host's clock runs faster
-        self.offset = math.nan  # s, at the device's time zero
+        self._minima: dict[int, float] = {}  # smallest received - device time, s, of each bucket of device time
 
     def update(self, device_time: float, received: float) -> float:
         """Add one packet and return its device time on the host's clock.
@@ -75,54 +66,12 @@ class DeviceClock:
         Returns:
             s on the host's clock, never later than `received`.
         """
-        delay = received - device_time
-        bucket = math.floor(device_time / _BUCKET)
-        if bucket > self._bucket:
-            self._bucket = bucket
-            self._minima = [m for m in self._minima if m[0] >= device_time - WINDOW]
-            self._minima.append((device_time, delay))
-            self._fit()
-        elif delay < self._minima[-1][1]:
-            self._minima[-1] = (device_time, delay)
-            self._fit()
-        return min(self.to_host(device_time), received)
-
-    def to_host(self, device_time: float) -> float:
-        """Return the host's time (s) at a device time (s); NaN before the first packet."""
-        return device_time + self.offset + self.drift * device_time
-
-    def _fit(self) -> None:
-        minima = self._minima
-        drift = 0.0
-        if minima[-1][0] - minima[0][0] >= _SHORTEST_BASELINE:
-            drift = min(max(_slope_beneath(minima), -_LARGEST_DRIFT), _LARGEST_DRIFT)
-        self.drift = drift
-        self.offset = min(delay - drift * time for time, delay in minima)
-
-
-def _slope_beneath(points: list[tuple[float, float]]) -> float:
-    """Return the slope of the line below all points with the least total distance to them.
-
-    It is the edge of their lower convex hull (Andrew, 1979) that spans their mean time.
-
-    Args:
-        points: (time, value), times rising, at least two.
-    """
-    hull: list[tuple[float, float]] = []
-    for time, value in points:
-        while len(hull) > 1 and _turns_right(hull[-2], hull[-1], (time, value)):
-            hull.pop()
-        hull.append((time, value))
-    mean = sum(time for time, _ in points) / len(points)
-    for (start, low), (end, high) in itertools.pairwise(hull):
-        if end >= mean:
-            return (high - low) / (end - start)
-    raise AssertionError("the last point is not before the mean")
-
-
-def _turns_right(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> bool:
-    """Return whether b lies on or above the line from a to c."""
-    return (b[1] - a[1]) * (c[0] - a[0]) >= (c[1] - a[1]) * (b[0] - a[0])
+        delay, bucket = received - device_time, math.floor(device_time / _BUCKET)
+        if bucket not in self._minima:
+            oldest = bucket - _WINDOW / _BUCKET
+            self._minima = {time: least for time, least in self._minima.items() if time >= oldest}
+        self._minima[bucket] = min(self._minima.get(bucket, delay), delay)
+        return device_time + min(self._minima.values())
 
 
 class SequenceUnwrapper:
@@ -272,11 +221,6 @@ class BoardReceiver:
         self._boot_id: int | None = None
         self.hello: Hello | None = None
         self.counters = BoardLinkCounters()
-
-    @property
-    def drift(self) -> float:
-        """Drift of the board's clock against the host's, s/s."""
-        return self._device_clock.drift
 
     def snapshot(self) -> BoardLinkCounters:
         """Return a copy of the counters."""

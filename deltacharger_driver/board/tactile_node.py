@@ -4,7 +4,7 @@
 Publishes: tactile_frame (sensor data, at `rate`), charger_power (reliable, depth 1, 20 Hz), battery, target_battery and
 /diagnostics (1 Hz).
 Serves: tare, set_contactor, probe.
-Parameters: port, baud_rate, rate, pitch, frame_prefix.
+Parameters: port, rate, frame_prefix.
 
 Safe at start: the contactor is open and nothing is tared. A close is a lease of at most 0.25 s. While it lives, the
 node relays it as the board's heartbeat; it never sends a heartbeat without a lease. The node refuses to close without
@@ -15,6 +15,7 @@ reopens the port.
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -29,10 +30,10 @@ from std_srvs.srv import Trigger
 from deltacharger_core import runtime
 from deltacharger_core.environment import domain
 from deltacharger_core.frames import END_EFFECTOR, FrameParameters
-from deltacharger_core.machine import port_of
+from deltacharger_core.machine import BAUD_RATE, port_of
 from deltacharger_core.real_time import RateMeter, late, priority
 from deltacharger_core.texts import quantity
-from deltacharger_driver.board.contactor import STALE_FRAME, STALE_POWER, SharedCall
+from deltacharger_driver.board.contactor import STALE_FRAME, STALE_POWER
 from deltacharger_driver.board.keeper import BoardKeeper
 from deltacharger_driver.board.protocol import PowerSample, TactileSample
 from deltacharger_driver.board.tactile_node_io import BATTERY_PERIOD, BatteryPublishers, SamplePublishers, limits_of
@@ -49,7 +50,6 @@ from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import LATEST, SERVICE
 
 _DIAGNOSTICS_PERIOD = 1.0  # s
-_TARE_SHARED = 0.05  # s for which a tare that several callers awaited is reused
 
 
 class TactileNode(Node):
@@ -64,7 +64,7 @@ class TactileNode(Node):
         given, frames = declare_all(self, TactileNodeParameters), declare_all(self, FrameParameters)
         reject_unknown(self)
         try:  # failing at start is a wrong set-up; a port that vanishes later is reopened
-            RawPort(given.port, given.baud_rate).close()
+            RawPort(given.port, BAUD_RATE).close()
         except DriverError as error:
             raise node_support.StartupError(f"tactile_node: {error}") from error
         self._lines = Log(self)
@@ -72,10 +72,10 @@ class TactileNode(Node):
         self._power: PowerSample | None = None
         self._frame_rate, self._power_rate = RateMeter(time.monotonic), RateMeter(time.monotonic)
         self._period = 1.0 / given.rate
-        self._samples = SamplePublishers(self, LATEST, given.pitch, frames.named(END_EFFECTOR))
+        self._samples = SamplePublishers(self, LATEST, frames.named(END_EFFECTOR))
         self._batteries = BatteryPublishers(self, frames)
         self._diagnostics = Diagnostics(self)
-        self._tare = SharedCall(lambda: self._keeper.link.tare(), _TARE_SHARED)
+        self._taring = threading.Lock()  # one at a time
         # One callback group each: a client that calls one service without end does not block the others.
         for kind, name, serve in (
             (Trigger, "tare", self._on_tare),
@@ -87,7 +87,6 @@ class TactileNode(Node):
         steady_timer(self, BATTERY_PERIOD, self._publish_batteries)
         self._keeper = BoardKeeper(
             given.port,
-            given.baud_rate,
             given.rate,
             self._publish_frame,
             self._publish_power,
@@ -150,7 +149,8 @@ class TactileNode(Node):
 
     def _on_tare(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         def tare() -> str:
-            self._tare()
+            with self._taring:
+                self._keeper.link.tare()
             return "tared"
 
         return self._served(response, tare)
@@ -190,9 +190,7 @@ class TactileNode(Node):
 
     def _link_status(self) -> DiagnosticStatus:
         link = self._keeper.link
-        drift = quantity(link.drift, ".2e", "s/s")
-        values = {**vars(link.decoder_counters), **vars(link.counters), "clock_drift": drift}
-        values["priority"] = priority()
+        values = {**vars(link.decoder_counters), **vars(link.counters), "priority": priority()}
         lateness = link.heartbeat_lateness
         if lateness is not None:
             values["heartbeat_late_max"] = quantity(1e3 * lateness.largest, ".1f", "ms")

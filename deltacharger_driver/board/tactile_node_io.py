@@ -21,6 +21,7 @@ from deltacharger_ros.qos import LATEST
 
 BATTERY_PERIOD = 1.0
 """s between two messages of the batteries."""
+_PITCH = 0.0024  # m between neighbouring taxels
 _PRESENT = 6.0  # V, either polarity; without a battery the probe causes 5 V at most
 _FIELDS = ("voltage", "temperature", "current", "charge", "capacity", "design_capacity", "percentage")
 
@@ -38,13 +39,12 @@ class SamplePublishers:
     Args:
         node: the publisher.
         qos: of charger_power.
-        pitch: distance between neighbouring taxels, m.
         frame_id: full name of end_effector.
     """
 
-    def __init__(self, node: Node, qos: QoSProfile, pitch: float, frame_id: str) -> None:
+    def __init__(self, node: Node, qos: QoSProfile, frame_id: str) -> None:
         self._stamps = Stamps(node.get_clock())
-        self._frame = TactileFrame(rows=ROWS, columns=COLUMNS, pitch=pitch)
+        self._frame = TactileFrame(rows=ROWS, columns=COLUMNS, pitch=_PITCH)
         self._power = ChargerPower()
         self._frame.header.frame_id = self._power.header.frame_id = frame_id
         self._frames = node.create_publisher(TactileFrame, "tactile_frame", qos_profile_sensor_data)

@@ -4,9 +4,11 @@
 from __future__ import annotations
 
 import contextlib
+import enum
 import math
 import struct
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from deltacharger_core.machine import TICKS_PER_TURN
@@ -48,7 +50,8 @@ from deltacharger_driver.servos.registers import (
 )
 
 _UPDATE_ADVICE = "update its firmware to 39 or later (Protocol 2.0) with the vendor's wizard"
-_SCANNED_SPEEDS = (57600, 1_000_000, 115200, 2_000_000, 3_000_000, 4_000_000, 9600)
+_PINGS, _FIRST_PINGS = 2, 10
+"""Of a servo at the set-up; at the first one its supply may have been switched on together with the computer."""
 _TRIPS_BELOW, _TRIPS_ABOVE = 11.0, 13.0
 """V: highest lower and lowest upper limit of a supply of 12 V."""
 _SHUTDOWN_BITS = (2, 5)
@@ -113,14 +116,12 @@ def _demanded(servo: ServoType, current_max: float) -> dict[str, tuple[int, int,
     }
 
 
-def set_up(link: ServoLink, settings: BusSettings, scan: bool = True, before: ServoType | None = None) -> Drive:
+def set_up(link: ServoLink, settings: BusSettings, before: ServoType | None = None) -> Drive:
     """Identify every servo and configure the expected ones; their torque is off afterwards.
 
     Args:
         link: an open link.
         settings: ids and configuration of the servos.
-        scan: look for servos that do not answer at other speeds and with old firmware, to name their speed; about a
-            second per servo.
         before: their type, if it is known; other servos are refused.
 
     Returns:
@@ -131,9 +132,10 @@ def set_up(link: ServoLink, settings: BusSettings, scan: bool = True, before: Se
         RangeError: a setting is out of range for their type.
         PortGone: the port vanished.
     """
-    found = {servo: _identify(link, servo, scan) for servo in settings.ids}
-    like, wanted = ("as before: restart servo_node to use other servos", before) if before else _first(found)
-    drive = settings.drive(wanted or MX_64)
+    found = {servo: _identify(link, servo, _PINGS if before else _FIRST_PINGS) for servo in settings.ids}
+    first, wanted = next(((servo, kind) for servo, kind in found.items() if isinstance(kind, ServoType)), (0, before))
+    like = "as before: restart servo_node to use others" if before else f"as servo {first}: use servos of one type"
+    drive = settings.drive(before or wanted or MX_64)
     faults = []
     for servo, kind in found.items():
         if isinstance(kind, str):
@@ -141,89 +143,28 @@ def set_up(link: ServoLink, settings: BusSettings, scan: bool = True, before: Se
         elif kind is not drive.servo:
             faults.append(f"servo {servo} is {kind}, not {drive.servo} {like}")
         else:
-            faults += _configure(link, servo, settings, drive)
+            faults += configure(link, servo, drive)
     if faults:
         raise HandshakeError(link.port, faults)
     return drive
 
 
-def _first(found: dict[int, ServoType | str]) -> tuple[str, ServoType | None]:
-    """Return the type of the first servo that has one, and what to say to another servo; None = no servo has one."""
-    known = ((servo, kind) for servo, kind in found.items() if not isinstance(kind, str))
-    servo, kind = next(known, (0, None))
-    return f"as servo {servo}: the arm needs servos of one type", kind
-
-
-def _identify(link: ServoLink, servo: int, scan: bool) -> ServoType | str:
-    """Return the type of a servo that answers at the link's speed, or its fault."""
-    found = _identify_one(link, servo)
-    if found is None:
-        return _locate(link, servo) if scan else f"servo {servo} does not answer"
-    return found
-
-
-def _identify_one(link: ServoLink, servo: int) -> ServoType | str | None:
-    """Return the type of a servo at the link's speed, or its fault; None without an answer."""
+def _identify(link: ServoLink, servo: int, pings: int) -> ServoType | str:
+    """Return the type of a servo, or its fault."""
     try:
-        model = link.ping(servo, attempts=2)
+        model = link.ping(servo, pings)
     except NoAnswer:
-        return None
+        return (
+            f"servo {servo} does not answer at {link.baud_rate} bit/s; check its supply and its cable, then let "
+            "'deltacharger doctor' look for it"
+        )
     except CorruptReply:
         return f"servo {servo} sends garbled replies; look for two servos with this id, noise or a bad plug"
     if model in TYPES:
         return TYPES[model]
-    for each in TYPES.values():
-        if model == each.model_protocol_1:
-            return f"servo {servo} is an {each.name} with Protocol 1.0 firmware; {_UPDATE_ADVICE}"
+    if any(model == each.model_protocol_1 for each in TYPES.values()):
+        return f"servo {servo} has firmware for Protocol 1.0; {_UPDATE_ADVICE}"
     return f"servo {servo} is model {model}, not {NAMES} with Protocol 2.0"
-
-
-def _locate(link: ServoLink, servo: int) -> ServoType | str:
-    """Return at which speed a servo answers that did not answer at the link's speed, or its type if it answers now.
-
-    The supply may be switched on together with the computer: a servo that was still starting is asked once more.
-    """
-    try:
-        if link.ping_protocol_1(servo):
-            return f"servo {servo} uses Protocol 1.0; {_UPDATE_ADVICE}"
-        for speed in _SCANNED_SPEEDS:
-            if speed == link.baud_rate:
-                continue
-            link.set_speed(speed)
-            found = f"servo {servo} answers at {speed} bit/s, not at {link.baud_rate}"
-            try:
-                link.ping(servo)
-            except (NoAnswer, CorruptReply):
-                if link.ping_protocol_1(servo):
-                    return f"{found}, and uses Protocol 1.0; {_UPDATE_ADVICE}"
-                continue
-            return f"{found}; set its speed with 'deltacharger doctor --set-baud' or correct 'baud_rate'"
-    finally:
-        link.set_speed(link.baud_rate)
-    silent = f"servo {servo} does not answer at any speed; check its supply, its cable and its id"
-    return _identify_one(link, servo) or silent
-
-
-def configure(link: ServoLink, servo: int, settings: BusSettings, drive: Drive) -> None:
-    """Switch a servo's torque off and configure it for the cycle, verifying each register by reading it back.
-
-    Written: status return level, torque enable, `motion_registers`, gains of the position loop, indirect addresses, bus
-    watchdog. Checked but never written: drive mode, homing offset, secondary id, shutdown, and the limits of
-    temperature, voltage, PWM and current. Neither: id, baud rate.
-
-    Args:
-        link: an open link.
-        servo: its id.
-        settings: for the watchdog.
-        drive: for the type, the gains and the largest current.
-
-    Raises:
-        HandshakeError: every setting that failed.
-        PortGone: the port vanished.
-    """
-    faults = _configure(link, servo, settings, drive)
-    if faults:
-        raise HandshakeError(link.port, faults)
 
 
 def check_registers(link: ServoLink, servo: int, kind: ServoType, current_max: float) -> list[str]:
@@ -257,8 +198,21 @@ def check_registers(link: ServoLink, servo: int, kind: ServoType, current_max: f
     return faults
 
 
-def _configure(link: ServoLink, servo: int, settings: BusSettings, drive: Drive) -> list[str]:
-    """Configure a servo and return every fault."""
+def configure(link: ServoLink, servo: int, drive: Drive) -> list[str]:
+    """Switch a servo's torque off and configure it for the cycle; return every setting that failed.
+
+    Each register is verified by reading it back. Written: status return level, torque enable, `motion_registers`, gains
+    of the position loop, indirect addresses, bus watchdog. Checked but never written: see `check_registers`. Neither:
+    id, baud rate.
+
+    Args:
+        link: an open link.
+        servo: its id.
+        drive: for the type, the gains and the largest current.
+
+    Raises:
+        PortGone: the port vanished.
+    """
     faults: list[str] = []
     try:
         _enable_replies(link, servo, faults)
@@ -266,7 +220,7 @@ def _configure(link: ServoLink, servo: int, settings: BusSettings, drive: Drive)
         _set(link, servo, "torque_enable", 0, faults)
         faults += check_registers(link, servo, drive.servo, drive.current_max)
         if not faults:
-            _prepare(link, servo, settings, drive, faults)
+            _prepare(link, servo, drive, faults)
     except PortGone:
         raise
     except DriverError as error:
@@ -285,7 +239,7 @@ def _enable_replies(link: ServoLink, servo: int, faults: list[str]) -> None:
         _verify(link, servo, "status_return_level", 2, faults)
 
 
-def _prepare(link: ServoLink, servo: int, settings: BusSettings, drive: Drive, faults: list[str]) -> None:
+def _prepare(link: ServoLink, servo: int, drive: Drive, faults: list[str]) -> None:
     """Write the registers that the cycle needs, the watchdog last, after reading the cycle's block once."""
     for name, value in (motion_registers(drive.servo) | dict(zip(GAINS, drive.gains, strict=True))).items():
         if link.read(servo, name) != value:
@@ -298,17 +252,17 @@ def _prepare(link: ServoLink, servo: int, settings: BusSettings, drive: Drive, f
     except RangeError as error:
         faults.append(f"servo {servo}: {error}; restart it, and look for another program on its bus")
     else:
-        _set(link, servo, "bus_watchdog", settings.watchdog, faults)
+        _set(link, servo, "bus_watchdog", WATCHDOG, faults)
 
 
-def restart_watchdog(link: ServoLink, servo: int, watchdog: int = WATCHDOG) -> None:
+def restart_watchdog(link: ServoLink, servo: int) -> None:
     """Clear a tripped watchdog and arm it again.
 
     Raises:
         NoAnswer, CorruptReply, ServoFault, PortGone: it cannot be written.
     """
     link.write(servo, "bus_watchdog", 0)
-    link.write(servo, "bus_watchdog", watchdog)
+    link.write(servo, "bus_watchdog", WATCHDOG)
 
 
 def _set(link: ServoLink, servo: int, name: str, value: int, faults: list[str]) -> None:
@@ -343,13 +297,22 @@ def _map_blocks(link: ServoLink, servo: int, faults: list[str]) -> None:
         faults.append(f"servo {servo}: the indirect addresses do not read as written; update its firmware")
 
 
-class BusSnapshot(NamedTuple):
-    """The servos in one cycle, in the order of the ids. Missing values are NaN, never 0.
+class ServoPhase(enum.Enum):
+    """Phase of the servos."""
+
+    DISCONNECTED = "disconnected"
+    OFF = "torque off"
+    ON = "torque on"
+    STOPPING = "stopping"
+
+
+class ServoReport(NamedTuple):
+    """The servos after one cycle, in the order of the ids. Missing values are NaN, never 0.
 
     Attributes:
         time: arrival of the replies, s, monotonic.
         valid: whether this cycle got a good reply.
-        angle: rad.
+        angle: rad; like the next four kept through two missed cycles, then NaN.
         velocity: rad/s.
         current: A, positive is torque toward +angle.
         voltage: V.
@@ -358,8 +321,11 @@ class BusSnapshot(NamedTuple):
         torque_enabled: the last known.
         watchdog_tripped: it received nothing for too long, has stopped and ignores goals.
         rebooted: it answers but has lost its configuration; call `ServoBus.configure`.
-        missed: cycles since the last good reply.
         missing: without a good reply for so long that it counts as a fault.
+        phase: of the servos; this and the rest by the controller.
+        thermal_reserve: s until the winding's limit at the present current; inf = never, NaN = unknown.
+        stray: why each joint stopped the arm, as in ServoState; 0 = it did not.
+        faults: that forbid moving, one sentence each.
     """
 
     time: float
@@ -371,10 +337,13 @@ class BusSnapshot(NamedTuple):
     temperature: tuple[float, ...]
     hardware_error: tuple[int, ...]
     torque_enabled: tuple[bool, ...]
-    watchdog_tripped: tuple[bool, ...]
-    rebooted: tuple[bool, ...]
-    missed: tuple[int, ...]
-    missing: tuple[bool, ...]
+    watchdog_tripped: tuple[bool, ...] = ()
+    rebooted: tuple[bool, ...] = ()
+    missing: tuple[bool, ...] = ()
+    phase: ServoPhase = ServoPhase.DISCONNECTED
+    thermal_reserve: tuple[float, ...] = ()
+    stray: tuple[int, ...] = ()
+    faults: tuple[str, ...] = ()
 
     @property
     def complete(self) -> bool:
@@ -385,6 +354,31 @@ class BusSnapshot(NamedTuple):
         """Return the servos of `ids` that reported their torque on, or off."""
         known = zip(ids, self.valid, self.torque_enabled, strict=True)
         return [servo for servo, valid, torque in known if valid and torque == on]
+
+
+@dataclass
+class _Servo:
+    """What is known of one servo since it was configured: as in `ServoReport`, and
+
+    Attributes:
+        id: of the servo.
+        seen: time of its last good reply, s.
+        row: its last measurements.
+        missed: cycles since the last good reply.
+        turns: whole turns beyond the arm's angle that the encoder counts since the servo started.
+        is_placed: whether they are known.
+    """
+
+    id: int
+    seen: float
+    row: tuple[float, ...] = UNKNOWN
+    missed: int = 0
+    hardware_error: int = 0
+    has_torque: bool = False
+    has_tripped: bool = False
+    has_restarted: bool = False
+    turns: int = 0
+    is_placed: bool = False
 
 
 class ServoBus:
@@ -405,24 +399,21 @@ class ServoBus:
         self._link = ServoLink(settings.port, settings.baud_rate, settings.reply_margin, handler)
         self.clock = self._link.clock
         self.counters = self._link.counters
-        self._count = len(settings.ids)
         self.drive = settings.drive(MX_64)
         self._type: ServoType | None = None  # of the servos found at the first opening
         self._cycle = 0
-        self._goals: tuple[tuple[float, ...], tuple[float, ...]] | None = None
-        self._goal_bytes = b""
         self._forget()
+
+    def _forget(self) -> None:
+        self._servos = [_Servo(servo, self.clock.now()) for servo in self.settings.ids]
 
     @property
     def is_open(self) -> bool:
         """Whether the port is open."""
         return self._link.is_open
 
-    def open(self, scan: bool = True) -> None:
+    def open(self) -> None:
         """Open the port, identify every servo and configure it; torque is off afterwards.
-
-        Args:
-            scan: look for missing servos at other speeds, so that the error names the speed.
 
         Raises:
             PortMissing, PortBusy, PortDenied, PortError: the port cannot be opened.
@@ -430,14 +421,14 @@ class ServoBus:
                 configuration; lists every fault.
             RangeError: a setting is out of range for their type.
         """
-        self._forget()
         self._link.open()
         try:
-            self.drive = set_up(self._link, self.settings, scan, self._type)
+            self.drive = set_up(self._link, self.settings, self._type)
             self._type = self.drive.servo
         except BaseException:
             self._link.close()
             raise
+        self._forget()
 
     def close(self) -> None:
         """Release the port. Sends nothing to the servos: switch torque off first. Never raises; safe to call twice."""
@@ -450,14 +441,14 @@ class ServoBus:
             HandshakeError: it rejects its configuration.
             PortGone: the port vanished.
         """
-        configure(self._link, self.settings.ids[index], self.settings, self.drive)
-        self._rebooted[index] = False
-        self._placed[index] = False
-        self._torque[index] = False
-        self._missed[index] = min(self._missed[index], 1)  # ask it again in the next cycle
+        servo = self._servos[index]
+        if faults := configure(self._link, servo.id, self.drive):
+            raise HandshakeError(self._link.port, faults)
+        servo.has_restarted = servo.has_torque = servo.is_placed = False
+        servo.missed = min(servo.missed, 1)  # ask it again in the next cycle
 
-    def read(self) -> BusSnapshot:
-        """Return the state of all servos; NaN and not valid for a servo without a good reply.
+    def read(self) -> ServoReport:
+        """Return the state of all servos; not valid for a servo without a good reply.
 
         One sync read while all servos answer. After a failure each servo is read individually, because in a sync read
         the servos behind a missing one stay silent. A servo missing for longer is read only every 25th cycle.
@@ -467,7 +458,7 @@ class ServoBus:
         """
         return self._read(b"")
 
-    def exchange(self, angles: Sequence[float], currents: Sequence[float]) -> BusSnapshot:
+    def exchange(self, angles: Sequence[float], currents: Sequence[float]) -> ServoReport:
         """Send goals like `write_goals` and return the state like `read`, in one transmission.
 
         Raises:
@@ -475,21 +466,31 @@ class ServoBus:
         """
         return self._read(self._goal_packet(angles, currents))
 
-    def _read(self, ahead: bytes) -> BusSnapshot:
+    def unknown(self) -> ServoReport:
+        """Return the state while the port is closed: errors and torque as last known, no measurement."""
+        for servo in self._servos:
+            servo.row = UNKNOWN
+        none = (False,) * len(self._servos)
+        return self._report(self.clock.now())._replace(valid=none, rebooted=none, missing=none)
+
+    def _read(self, ahead: bytes) -> ServoReport:
         """Read all servos; the packets `ahead`, which get no reply, are sent with the first request."""
-        ids = self.settings.ids
-        if not any(self._missed):
-            replies = self._link.sync_read(ids, READ_ADDRESS, READ_LENGTH, ahead)
+        if not any(servo.missed for servo in self._servos):
+            replies = self._link.sync_read(self.settings.ids, READ_ADDRESS, READ_LENGTH, ahead)
         else:
             replies = {}
             if ahead:
                 self._link.send(ahead)
-            for index, servo in enumerate(ids):
-                if not self._missing(index) or (self._cycle + index) % _RETRY_EVERY == 0:
-                    replies.update(self._link.sync_read((servo,), READ_ADDRESS, READ_LENGTH))
+            for index, servo in enumerate(self._servos):
+                if not self._is_missing(servo) or (self._cycle + index) % _RETRY_EVERY == 0:
+                    replies.update(self._link.sync_read((servo.id,), READ_ADDRESS, READ_LENGTH))
         now = self.clock.now()
         self._cycle += 1
-        return self._snapshot(now, replies)
+        for index, servo in enumerate(self._servos):
+            self._learn(index, now, replies.get(servo.id, (0, b""))[1])
+            if servo.missed >= UNKNOWN_AFTER or servo.has_restarted:
+                servo.row = UNKNOWN
+        return self._report(now)
 
     def write_goals(self, angles: Sequence[float], currents: Sequence[float]) -> None:
         """Send goal angle (rad) and current bound (A, 0 to `current_max`) of each servo; they change together.
@@ -503,25 +504,20 @@ class ServoBus:
         self._link.send(self._goal_packet(angles, currents))
 
     def _goal_packet(self, angles: Sequence[float], currents: Sequence[float]) -> bytes:
-        """Return the packet that writes goal and bound of every servo; cached while they do not change."""
-        goals = tuple(angles), tuple(currents)
-        if goals == self._goals:
-            return self._goal_bytes
-        settings = self.settings
+        """Return the packet that writes goal and bound of every servo."""
         rows = []
-        for index, (angle, current) in enumerate(zip(angles, currents, strict=True)):
-            rows.append((settings.ids[index], _WRITE_LAYOUT.pack(self._bound(current), self._ticks(index, angle))))
-        self._goals, self._goal_bytes = goals, sync_write_packet(WRITE_ADDRESS, WRITE_LENGTH, rows)
-        return self._goal_bytes
+        for index, (servo, angle, current) in enumerate(zip(self.settings.ids, angles, currents, strict=True)):
+            rows.append((servo, _WRITE_LAYOUT.pack(self._bound(current), self._ticks(index, angle))))
+        return sync_write_packet(WRITE_ADDRESS, WRITE_LENGTH, rows)
 
-    def enable_torque(self, currents: Sequence[float]) -> BusSnapshot:
+    def enable_torque(self, currents: Sequence[float]) -> ServoReport:
         """Switch the torque of all servos on at their present position: goal := present position first.
 
         Args:
             currents: current bound of each servo, A.
 
         Returns:
-            the snapshot whose angles became the goals.
+            the report whose angles became the goals.
 
         Raises:
             NoAnswer: a servo is missing or has just restarted; none is switched on.
@@ -529,28 +525,28 @@ class ServoBus:
                 switched off again.
             PortGone: the port vanished.
         """
-        snapshot = self.read()
-        for index, servo in enumerate(self.settings.ids):
-            if not snapshot.valid[index]:
-                raise NoAnswer(f"servo {servo}", "read before switching torque on", self.settings.reply_margin)
-            if snapshot.hardware_error[index]:
-                bits = snapshot.hardware_error[index]
+        report = self.read()
+        for servo in self._servos:
+            if servo.missed:
+                raise NoAnswer(f"servo {servo.id}", "read before switching torque on", self.settings.reply_margin)
+            if bits := servo.hardware_error:
                 text = f"{describe_hardware_error(bits)} latched; remove the cause, then reboot it"
-                raise ServoFault(servo, "switch torque on", text, bits)
-            if not self._placed[index]:
-                raise ServoFault(servo, "switch torque on", self._misplaced(snapshot.angle[index]))
+                raise ServoFault(servo.id, "switch torque on", text, bits)
+            if not servo.is_placed:
+                raise ServoFault(servo.id, "switch torque on", self._misplaced(servo.row[0]))
         try:
-            for index, servo in enumerate(self.settings.ids):
-                restart_watchdog(self._link, servo, self.settings.watchdog)
-                self._verify_goal(index, snapshot.angle, currents)
-            for servo in self.settings.ids:
-                self._link.write(servo, "torque_enable", 1)
-            self._torque = [True] * self._count
+            for index, servo in enumerate(self._servos):
+                restart_watchdog(self._link, servo.id)
+                self._verify_goal(index, report.angle[index], currents[index])
+            for servo in self._servos:
+                self._link.write(servo.id, "torque_enable", 1)
+            for servo in self._servos:
+                servo.has_torque = True
         except DriverError:
             with contextlib.suppress(DriverError):
                 self.disable_torque()
             raise
-        return snapshot
+        return report
 
     def disable_torque(self) -> None:
         """Switch all servos off: one packet to all, then one to each until it confirms; a servo that missed its last
@@ -562,10 +558,10 @@ class ServoBus:
         register = REGISTERS["torque_enable"]
         off = [(servo, b"\0") for servo in self.settings.ids]
         self._link.send(sync_write_packet(register.address, register.size, off))
-        for index, servo in enumerate(self.settings.ids):
+        for servo in self._servos:
             with contextlib.suppress(NoAnswer, CorruptReply, ServoFault):
-                self._link.write(servo, "torque_enable", 0, hurry=self._missed[index] > 0)
-                self._torque[index] = False
+                self._link.write(servo.id, "torque_enable", 0, hurry=servo.missed > 0)
+                servo.has_torque = False
 
     def reboot(self, index: int) -> None:
         """Restart servo `index`: torque off, latched errors cleared. Afterwards it must be configured again.
@@ -574,7 +570,7 @@ class ServoBus:
             NoAnswer, CorruptReply, ServoFault, PortGone: it did not accept the instruction.
         """
         self._link.reboot(self.settings.ids[index])
-        self._torque[index] = False
+        self._servos[index].has_torque = False
 
     def restart_watchdogs(self) -> None:
         """Clear and arm the watchdog of every servo that answers, so that it accepts goals again.
@@ -582,23 +578,12 @@ class ServoBus:
         Raises:
             NoAnswer, CorruptReply, ServoFault, PortGone: a servo does not accept it.
         """
-        for servo in (servo for servo, missed in zip(self.settings.ids, self._missed, strict=True) if not missed):
-            restart_watchdog(self._link, servo, self.settings.watchdog)
+        for servo in self._servos:
+            if not servo.missed:
+                restart_watchdog(self._link, servo.id)
 
-    def _forget(self) -> None:
-        """Reset the known state of all servos."""
-        self._missed = [0] * self._count
-        self._seen = [self.clock.now()] * self._count
-        self._rebooted = [False] * self._count
-        self._errors = [0] * self._count
-        self._torque = [False] * self._count
-        self._tripped = [False] * self._count
-        self._turns = [0] * self._count  # whole turns beyond the arm's angle that the encoder counts since it started
-        self._placed: list[bool] = [False] * self._count  # whether they are known
-
-    def _missing(self, index: int) -> bool:
-        silent = self.clock.now() - self._seen[index]
-        return self._missed[index] >= UNKNOWN_AFTER and silent >= MISSING_TIME
+    def _is_missing(self, servo: _Servo) -> bool:
+        return servo.missed >= UNKNOWN_AFTER and self.clock.now() - servo.seen >= MISSING_TIME
 
     def _bound(self, current: float) -> int:
         """Return a current bound in counts; the check is in counts, so that rounding never refuses the largest."""
@@ -608,10 +593,10 @@ class ServoBus:
             raise RangeError("current bound", current, 0.0, most, " A")
         return counts
 
-    def _verify_goal(self, index: int, angles: Sequence[float], currents: Sequence[float]) -> None:
+    def _verify_goal(self, index: int, angle: float, current: float) -> None:
         """Write and verify the goal of one servo, so that it does not jump when switched on."""
-        ticks, servo = self._ticks(index, angles[index]), self.settings.ids[index]
-        self._link.write(servo, "goal_current", self._bound(currents[index]))
+        ticks, servo = self._ticks(index, angle), self.settings.ids[index]
+        self._link.write(servo, "goal_current", self._bound(current))
         self._link.write(servo, "goal_position", ticks)
         found = self._link.read(servo, "goal_position")
         if found != ticks:
@@ -620,24 +605,24 @@ class ServoBus:
     def _ticks(self, index: int, angle: float) -> int:
         settings = self.settings
         ticks = angle_to_ticks(angle, settings.zero_ticks[index], settings.direction[index])
-        return ticks + self._turns[index] * TICKS_PER_TURN
+        return ticks + self._servos[index].turns * TICKS_PER_TURN
 
     def _place(self, index: int, ticks: int) -> float:
         """Return the arm's angle, rad. A servo that starts forgets whole turns: those are taken out that bring the arm
         into its range, if there is just one such number.
         """
-        settings, (low, high) = self.settings, self.settings.reach
+        settings, (low, high), servo = self.settings, self.settings.reach, self._servos[index]
 
         def angle(turns: int) -> float:
             count = ticks - turns * TICKS_PER_TURN
             return ticks_to_angle(count, settings.zero_ticks[index], settings.direction[index])
 
-        if not self._placed[index]:
+        if not servo.is_placed:
             nearest = math.floor((ticks - settings.zero_ticks[index]) / TICKS_PER_TURN)
             within = [turns for turns in (nearest, nearest + 1) if low <= angle(turns) <= high]
-            self._placed[index] = len(within) == 1
-            self._turns[index] = min((nearest, nearest + 1), key=lambda turns: abs(angle(turns) - 0.5 * (low + high)))
-        return angle(self._turns[index])
+            servo.is_placed = len(within) == 1
+            servo.turns = min((nearest, nearest + 1), key=lambda turns: abs(angle(turns) - 0.5 * (low + high)))
+        return angle(servo.turns)
 
     def _misplaced(self, angle: float) -> str:
         low, high = (math.degrees(value) for value in (self.settings.joint_min, self.settings.joint_max))
@@ -646,49 +631,44 @@ class ServoBus:
             f"bring it into {low:.0f}…{high:.0f}°: correct them, or the horn on its shaft"
         )
 
-    def _snapshot(self, now: float, replies: dict[int, tuple[int, bytes]]) -> BusSnapshot:
-        rows = [self._learn(index, now, replies.get(servo)) for index, servo in enumerate(self.settings.ids)]
-        angle, velocity, current, voltage, temperature = zip(*rows, strict=True)
-        return BusSnapshot(
+    def _report(self, now: float) -> ServoReport:
+        servos = self._servos
+        angle, velocity, current, voltage, temperature = zip(*(servo.row for servo in servos), strict=True)
+        return ServoReport(
             time=now,
-            valid=tuple(missed == 0 for missed in self._missed),
+            valid=tuple(not servo.missed for servo in servos),
             angle=angle,
             velocity=velocity,
             current=current,
             voltage=voltage,
             temperature=temperature,
-            hardware_error=tuple(self._errors),
-            torque_enabled=tuple(self._torque),
-            watchdog_tripped=tuple(self._tripped),
-            rebooted=tuple(self._rebooted),
-            missed=tuple(self._missed),
-            missing=tuple(map(self._missing, range(self._count))),
+            hardware_error=tuple(servo.hardware_error for servo in servos),
+            torque_enabled=tuple(servo.has_torque for servo in servos),
+            watchdog_tripped=tuple(servo.has_tripped for servo in servos),
+            rebooted=tuple(servo.has_restarted for servo in servos),
+            missing=tuple(map(self._is_missing, servos)),
         )
 
-    def _learn(self, index: int, now: float, reply: tuple[int, bytes] | None) -> tuple[float, ...]:
-        """Store one servo's reply; return angle, velocity, current, voltage, temperature, NaN unless it is good."""
-        data = b"" if reply is None else reply[1]
-        self._missed[index] += 1
-        self._tripped[index] = False
+    def _learn(self, index: int, now: float, data: bytes) -> None:
+        """Store one servo's reply."""
+        known = self._servos[index]
+        known.missed += 1
+        known.has_tripped = False
         if len(data) != READ_LENGTH:
-            return UNKNOWN
+            return
         if has_restarted(data):
-            self._rebooted[index] = True
-            self._torque[index] = False
-            return UNKNOWN
+            known.has_restarted, known.has_torque = True, False
+            return
         try:
             reading = decode_block(data, self.drive.servo)
         except RangeError:
             self.counters.implausible += 1
-            return UNKNOWN
-        self._missed[index] = 0
-        self._seen[index] = now
-        self._rebooted[index] = False
-        self._errors[index] = reading.hardware_error
-        self._torque[index] = reading.torque_enabled
-        self._tripped[index] = reading.watchdog == WATCHDOG_TRIPPED
+            return
+        known.missed, known.seen, known.has_restarted = 0, now, False
+        known.hardware_error, known.has_torque = reading.hardware_error, reading.torque_enabled
+        known.has_tripped = reading.watchdog == WATCHDOG_TRIPPED
         sign, servo = self.settings.direction[index], self.drive.servo
-        return (
+        known.row = (
             self._place(index, reading.ticks),
             sign * reading.velocity * servo.velocity_unit,
             sign * reading.current * servo.current_unit,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Controls the arm's servos cycle by cycle: trajectories, stops on faults, recovery, diagnostics. No ROS.
+"""Controls the arm's servos cycle by cycle: trajectories, stops on faults, recovery, heat of the windings. No ROS.
 
 One thread calls `open`, `cycle` and `close`; any thread may call `submit` and `request`, which take effect in the next
 cycle. Torque is switched on only by request, and every fault ends with torque off. Every switch-off first requests that
@@ -15,21 +15,19 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict
-from typing import NamedTuple, Protocol
 
 from deltacharger_core.real_time import late
+from deltacharger_core.servo_types import ServoType
 from deltacharger_core.texts import quantity
 from deltacharger_driver.errors import DriverError, PortError, PortGone, TrajectoryRefused
-from deltacharger_driver.servos.bus import BusSnapshot, ServoBus
+from deltacharger_driver.servos.bus import ServoBus, ServoPhase, ServoReport
 from deltacharger_driver.servos.link import ServoPort
 from deltacharger_driver.servos.motion import HOLD, STOP_TIME, JointWatch, ServoGoals, Trajectory
-from deltacharger_driver.servos.registers import BusSettings, Drive, describe_hardware_error
-from deltacharger_driver.servos.report import ServoMemory, ServoPhase, ServoReport, find_faults
+from deltacharger_driver.servos.registers import BusSettings, describe_hardware_error
 
 _POLL_PERIOD = 0.005  # s between two checks of the contactor
 _REBOOT_TIME = 3.0  # s until all servos must be back
-
-_FIRST_PAUSE, _LONGEST_PAUSE = 0.25, 0.5  # s between two attempts to reopen the port
+_REOPEN_EVERY = 0.5  # s between two attempts to reopen the port
 
 OPENING_TIME = 0.3  # s; after a request, longest time with torque on until the contactor is reported open
 _TRIPS, _TRIPS_WITHIN = 3, 2.0  # this many watchdog trips within this many s are a fault
@@ -39,13 +37,99 @@ OK, WARN, ERROR = b"\0", b"\1", b"\2"
 _HOT = 10.0  # °C below the servo's own limit
 _LITTLE_RESERVE = 60.0  # s
 
+REST_TEMPERATURE = 25.0  # °C, where the heat is 0
+
+
+def reserve(heat: float, current: float, servo: ServoType) -> float:
+    """Return the time for which `current` may flow until the limit, s; 0 at the limit, inf if never reached.
+
+    h(t) = i²τ + (h − i²τ) e^(−t/τ) = H, solved for t. An unknown current or heat (NaN) gives NaN.
+
+    Args:
+        heat: present heat above rest, A²s.
+        current: present current, A, of either sign.
+        servo: its type, which has τ and H.
+    """
+    if math.isnan(heat) or math.isnan(current):
+        return math.nan
+    limit, constant = servo.heat_limit, servo.heat_constant
+    if heat >= limit:
+        return 0.0
+    final = current * current * constant
+    if final <= limit:
+        return math.inf
+    return constant * math.log((final - heat) / (final - limit))
+
+
+class ThermalModel:
+    """The heat of one servo: an I²t model with cooling, in addition to its temperature.
+
+    The heat h (A²s) above rest follows dh/dt = i² − h/τ; its limit H is reached where the servo's own temperature limit
+    is. The MX-64's two constants rest on three statements:
+    - Several amperes overheat the servo in minutes: at 3 A the limit must be reached in 60–180 s; 120 s is assumed.
+    - The real charger held 0.5 A for four hours: at 0.5 A the limit must never be reached, so τ · 0.5² < H.
+    - About 0.8 A can be held for about 40 min.
+
+    With τ = 4000 s, H = 3² · τ · (1 − e^(−120/τ)) = 1064 A²s. Then √(H/τ) = 0.516 A is allowed for ever, just above
+    what was demonstrated; 0.8 A lasts 36 min. Change this calibration only after measurements of a real winding.
+
+    An unknown current counts as the last known one, so that missing data never cool the model.
+
+    Args:
+        servo: its type.
+        smoothing: time constant of the current in `reserve`, s; 0 = none. The heat uses the unsmoothed current.
+    """
+
+    def __init__(self, servo: ServoType, smoothing: float = 0.5) -> None:
+        self.heat = 0.0
+        self._servo = servo
+        self._smoothing = smoothing
+        self._square = math.nan
+        self._mean_square = math.nan
+
+    def start_at(self, temperature: float) -> None:
+        """Set the heat from the servo's temperature, °C, so that a restart does not lose it."""
+        if math.isnan(temperature):
+            return
+        share = (temperature - REST_TEMPERATURE) / (self._servo.temperature_limit - REST_TEMPERATURE)
+        self.heat = min(max(share, 0.0), 1.0) * self._servo.heat_limit
+
+    def update(self, current: float, elapsed: float) -> None:
+        """Apply `current` (A, NaN = unknown) for `elapsed` s.
+
+        Exact for a current that is constant over the step.
+        """
+        if not math.isnan(current):
+            self._square = current * current
+        if math.isnan(self._square):
+            return
+        constant = self._servo.heat_constant
+        final = self._square * constant
+        self.heat = final + (self.heat - final) * math.exp(-elapsed / constant)
+        if math.isnan(self._mean_square) or self._smoothing <= 0.0:
+            self._mean_square = self._square
+        else:
+            self._mean_square += (self._square - self._mean_square) * -math.expm1(-elapsed / self._smoothing)
+
+    def reserve(self) -> float:
+        """Return the time for which the present current may flow until the limit, s; inf if never reached.
+
+        NaN before the first current is known.
+        """
+        return reserve(self.heat, math.sqrt(self._mean_square), self._servo)
+
 
 class ServoRequest:
-    """A request to the servos' thread, with its result."""
+    """A request to the servos' thread, with its result.
 
-    def __init__(self, action: str, sent: float = math.inf) -> None:
+    Args:
+        action: "torque_on", "torque_off" or "reboot".
+        sent: s, the servos' clock.
+    """
+
+    def __init__(self, action: str, sent: float) -> None:
         self.action = action
-        self.sent = sent  # s, the servos' clock
+        self.sent = sent
         self.success = False
         self.message = ""
         self._done = threading.Event()
@@ -60,57 +144,10 @@ class ServoRequest:
         return self._done.wait(timeout)
 
 
-class ServoRequests:
-    """Requests waiting for the servos' thread, and those held until torque is off.
+class Contactor:
+    """The contactor for the servos' thread: it must be open before torque goes off. This one does not exist.
 
-    `put` may be called from any thread, the others from the servos' thread.
-    """
-
-    def __init__(self) -> None:
-        self._queue: queue.SimpleQueue[ServoRequest] = queue.SimpleQueue()
-        self._held: list[ServoRequest] = []
-
-    def put(self, action: str, sent: float = math.inf) -> ServoRequest:
-        """Queue a request that was sent at `sent` (s)."""
-        request = ServoRequest(action, sent)
-        self._queue.put(request)
-        return request
-
-    def next(self) -> ServoRequest | None:
-        """Return the next queued request, or None."""
-        return None if self._queue.empty() else self._queue.get_nowait()
-
-    def hold(self, request: ServoRequest) -> None:
-        """Hold a request until `finish_held`."""
-        self._held.append(request)
-
-    @property
-    def has_queued(self) -> bool:
-        """Whether a request is queued."""
-        return not self._queue.empty()
-
-    @property
-    def has_held(self) -> bool:
-        """Whether a request is held."""
-        return bool(self._held)
-
-    def finish_held(self, success: bool, message: str) -> None:
-        """Finish all held requests."""
-        for request in self._held:
-            request.finish(success, message)
-        self._held.clear()
-
-    def refuse_all(self, reason: str) -> None:
-        """Finish every request without success."""
-        self.finish_held(False, reason)
-        while request := self.next():
-            request.finish(False, reason)
-
-
-class Contactor(Protocol):
-    """The contactor for the servos' thread: it must be open before torque goes off.
-
-    Neither method may wait or raise: they are called between two bus cycles.
+    No method may wait or raise: they are called between two bus cycles.
     """
 
     def request_open(self) -> None:
@@ -118,153 +155,6 @@ class Contactor(Protocol):
 
     def is_open(self) -> bool:
         """Return whether it was reported open after the last `request_open`, or does not exist."""
-
-
-class NoContactor:
-    """For an arm without a power stage."""
-
-    def request_open(self) -> None:
-        """Do nothing."""
-
-    def is_open(self) -> bool:
-        """Return True: nothing is closed."""
-        return True
-
-
-def wait_until_open(contactor: Contactor, seconds: float, clock: ServoPort) -> None:
-    """Request an opening and wait for it, at most `seconds`; for use outside the cycle."""
-    contactor.request_open()
-    end = clock.now() + seconds
-    while not contactor.is_open() and clock.now() < end:
-        clock.sleep(_POLL_PERIOD)
-
-
-class ServoRestarts:
-    """Requested reboots, and the configuration of restarted servos. Used by the servos' thread.
-
-    Args:
-        bus: of the servos.
-        notify: called with severity and message.
-    """
-
-    def __init__(self, bus: ServoBus, notify: Callable[[str, str], None]) -> None:
-        self._bus = bus
-        self._notify = notify
-        self._request: ServoRequest | None = None
-        self._deadline = 0.0
-        self._away: set[int] = set()  # servos being rebooted that are not back
-        self._last_error = ""
-
-    @property
-    def is_rebooting(self) -> bool:
-        """Whether some of the servos being rebooted are not back yet."""
-        return self._request is not None
-
-    def reboot(self, request: ServoRequest, snapshot: BusSnapshot | None) -> None:
-        """Restart the servos with a latched error, or all if none has one; finish `request` when they are back.
-
-        Raises:
-            NoAnswer, CorruptReply, ServoFault, PortGone: a servo did not accept the instruction.
-        """
-        if self._request is not None:
-            request.finish(False, "the servos are already being rebooted")
-            return
-        faulty = [i for i, bits in enumerate(snapshot.hardware_error) if bits] if snapshot is not None else []
-        self._away = set(faulty or range(len(self._bus.settings.ids)))
-        for index in sorted(self._away):
-            self._bus.reboot(index)
-        self._request, self._deadline = request, self._bus.clock.now() + _REBOOT_TIME
-
-    def restore(self, snapshot: BusSnapshot) -> list[int]:
-        """Configure every restarted servo; return the ids of those that restarted without a request.
-
-        Raises:
-            PortGone: the port vanished.
-        """
-        unrequested = []
-        for index, servo in enumerate(self._bus.settings.ids):
-            if not snapshot.rebooted[index]:
-                continue
-            try:
-                self._bus.configure(index)
-            except PortGone:
-                raise
-            except DriverError as error:
-                if str(error) != self._last_error:
-                    self._last_error = str(error)
-                    self._notify("warning", f"servo {servo} had restarted: {error}")
-                continue
-            self._notify("warning", f"servo {servo} had restarted; configured again, torque off")
-            self._away.discard(index)
-            if self._request is None:
-                unrequested.append(servo)
-        return unrequested
-
-    def look(self, snapshot: BusSnapshot, faults: list[str]) -> None:
-        """Finish the request if all servos are back or the time is over.
-
-        Args:
-            snapshot: of this cycle.
-            faults: that forbid moving.
-        """
-        if self._request is None:
-            return
-        if not self._away and snapshot.complete:
-            self._request.finish(not faults, "; ".join(faults) or "rebooted and configured; torque is off")
-        elif self._bus.clock.now() >= self._deadline:
-            self._request.finish(False, "; ".join(faults) or "the servos did not come back in time")
-        else:
-            return
-        self._request = None
-
-    def refuse(self, reason: str) -> None:
-        """Finish a pending request without success."""
-        if self._request is not None:
-            self._request.finish(False, reason)
-            self._request = None
-
-
-class Reconnection:
-    """Reopens a bus.
-
-    Args:
-        bus: to open.
-        notify: called with (severity, message) when the reason changes.
-
-    Attributes:
-        fault: why it is not connected.
-        count: number of successful reopenings.
-    """
-
-    def __init__(self, bus: ServoBus, notify: Callable[[str, str], None]) -> None:
-        self._bus = bus
-        self._notify = notify
-        self._pause = _FIRST_PAUSE
-        self._next = 0.0
-        self.fault = "not connected"
-        self.count = 0
-
-    def lost(self, error: Exception) -> None:
-        """Restart the attempts: the port has just vanished."""
-        self.fault = str(error)
-        self._pause = _FIRST_PAUSE
-        self._next = self._bus.clock.now() + self._pause
-
-    def attempt(self) -> bool:
-        """Open the bus if the next attempt is due; return whether it is open now."""
-        if self._bus.clock.now() < self._next:
-            return False
-        try:
-            self._bus.open(scan=False)
-        except DriverError as error:
-            self._pause = min(2.0 * self._pause, _LONGEST_PAUSE)
-            self._next = self._bus.clock.now() + self._pause
-            if str(error) != self.fault:
-                self.fault = str(error)
-                self._notify("error", self.fault)
-            return False
-        self._pause = _FIRST_PAUSE
-        self.count += 1
         return True
 
 
@@ -278,9 +168,11 @@ class ServoController:
         handler: class of the port, which also keeps the time.
 
     Attributes:
-        stop_reason: reason of the last stop; it and the next may be read from any thread.
+        phase: of the servos; it and the next may be read from any thread.
+        stop_reason: reason of the last stop.
         unrequested_stop: reason why torque went off without a request; '' once it is on again.
         watchdog_trips: number of stops by the servos' bus watchdog.
+        reconnections: number of times that a vanished port was reopened.
     """
 
     def __init__(
@@ -290,50 +182,45 @@ class ServoController:
         contactor: Contactor | None = None,
         handler: type[ServoPort] = ServoPort,
     ) -> None:
-        self.watchdog_trips = 0
+        self.phase = ServoPhase.DISCONNECTED
+        self.stop_reason = self.unrequested_stop = ""
+        self.watchdog_trips = self.reconnections = 0
         self.bus = ServoBus(settings, handler)
         self._clock = self.bus.clock
         self._ids = settings.ids
         self._notify = notify
-        self._contactor = contactor or NoContactor()
-        self._phase = ServoPhase.DISCONNECTED
+        self._contactor = contactor or Contactor()
         self._lock = threading.Lock()
-        self._requests = ServoRequests()
+        self._requests: queue.SimpleQueue[ServoRequest] = queue.SimpleQueue()
+        self._switching_off: list[ServoRequest] = []  # that wait for torque to go off
+        self._rebooting: ServoRequest | None = None
+        self._away: set[int] = set()  # indices of servos being rebooted that are not back
+        self._reboot_until = self._reopen_at = 0.0
+        self._lost = "not connected"  # why there is no port
+        self._setup_error = ""
         self._submitted: tuple[Trajectory, float] | None = None
         self._stop_at = math.inf
-        self.stop_reason = self.unrequested_stop = ""
-        self._reconnection = Reconnection(self.bus, notify)
-        self._restarts = ServoRestarts(self.bus, notify)
         self._trips: deque[float] = deque([-math.inf] * _TRIPS, maxlen=_TRIPS)
-        self._snapshot: BusSnapshot | None = None
-        self._use(self.bus.drive)
+        self._heated_at = math.nan
+        self._report = self.bus.unknown()
+        self._use_type()
 
-    def _use(self, drive: Drive) -> None:
-        """Begin anew, for servos of this type."""
-        self._drive, count = drive, len(self._ids)
-        self._goals = ServoGoals(count, drive.current_bound, drive.torque_constant)
-        self._watch = JointWatch(self.bus.settings, drive)
-        self._memory = ServoMemory(count, drive.servo)
-
-    @property
-    def phase(self) -> ServoPhase:
-        """Phase of the servos; may be read from any thread."""
-        return self._phase
-
-    @property
-    def reconnections(self) -> int:
-        """Number of times that a vanished port was reopened."""
-        return self._reconnection.count
+    def _use_type(self) -> None:
+        """Begin anew, for servos of the bus's type."""
+        self._drive, count = self.bus.drive, len(self._ids)
+        self._goals = ServoGoals(count, self._drive.current_bound, self._drive.torque_constant)
+        self._watch = JointWatch(self.bus.settings, self._drive)
+        self._thermal = [ThermalModel(self._drive.servo) for _ in range(count)]
 
     @property
     def has_request(self) -> bool:
         """Whether a request waits for the next cycle."""
-        return self._requests.has_queued
+        return not self._requests.empty()
 
     @property
     def is_releasing(self) -> bool:
         """Whether torque is about to be switched off by request."""
-        return self._requests.has_held
+        return bool(self._switching_off)
 
     def now(self) -> float:
         """Return the time of the controller's clock, s."""
@@ -346,26 +233,25 @@ class ServoController:
             PortMissing, PortBusy, PortDenied, PortError: the port cannot be opened.
             HandshakeError: lists every fault of the servos.
         """
-        self.bus.open(scan=True)
-        self._take_open_bus()
-
-    def _take_open_bus(self) -> None:
-        """Be ready for torque with the servos found: at the first opening their type becomes known."""
-        if self.bus.drive != self._drive:
-            self._use(self.bus.drive)
-        self._phase = ServoPhase.OFF
+        self.bus.open()
+        if self.bus.drive != self._drive:  # at the first opening their type becomes known
+            self._use_type()
+        self.phase = ServoPhase.OFF
 
     def close(self) -> None:
         """Switch torque off if it is on, and release the port. Never raises; safe to call twice.
 
         Waits at most `OPENING_TIME` for the contactor. If possible, first request "torque_off" and cycle until it is.
         """
-        if self.bus.is_open and self._phase in (ServoPhase.ON, ServoPhase.STOPPING):
-            wait_until_open(self._contactor, OPENING_TIME, self._clock)
+        if self.bus.is_open and self.phase in (ServoPhase.ON, ServoPhase.STOPPING):
+            self._contactor.request_open()
+            end = self._clock.now() + OPENING_TIME
+            while not self._contactor.is_open() and self._clock.now() < end:
+                self._clock.sleep(_POLL_PERIOD)
             with contextlib.suppress(DriverError):
                 self.bus.disable_torque()
         self.bus.close()
-        self._phase = ServoPhase.DISCONNECTED
+        self.phase = ServoPhase.DISCONNECTED
         self._refuse_all("the driver is closing")
 
     def submit(self, trajectory: Trajectory, start: float = math.inf) -> None:
@@ -380,9 +266,9 @@ class ServoController:
             TrajectoryRefused: torque is off, the servos are being stopped, or its goals are faster than the joints.
         """
         with self._lock:
-            if self._phase is not ServoPhase.ON:
+            if self.phase is not ServoPhase.ON:
                 more = {ServoPhase.OFF: "; call set_torque first", ServoPhase.STOPPING: f": {self.stop_reason}"}
-                raise TrajectoryRefused(self._phase.value + more.get(self._phase, ""))
+                raise TrajectoryRefused(self.phase.value + more.get(self.phase, ""))
             now = self._clock.now()
             self._goals.advance(now)
             self._watch.follow(now, self._goals.angles)
@@ -401,11 +287,13 @@ class ServoController:
             action: what to do.
             age: s since the client sent it.
         """
-        return self._requests.put(action, self._clock.now() - age)
+        request = ServoRequest(action, self._clock.now() - age)
+        self._requests.put(request)
+        return request
 
     def stop(self, reason: str) -> None:
         """Goal := present position, open contactor, torque off after `STOP_TIME`; call it from the servos' thread."""
-        if self._phase is ServoPhase.ON:
+        if self.phase is ServoPhase.ON:
             self._begin_stop(reason, STOP_TIME)
             self.unrequested_stop = reason
             self._notify("error", f"stopping all servos: {reason}")
@@ -413,71 +301,111 @@ class ServoController:
     def _begin_stop(self, reason: str, seconds: float) -> None:
         """Hold the present position, request an open contactor, and switch torque off after `seconds`."""
         with self._lock:
-            self._phase = ServoPhase.STOPPING
+            self.phase = ServoPhase.STOPPING
             self._submitted = None
         self.stop_reason = reason
         self._stop_at = self._clock.now() + seconds
-        self._goals.hold(self._memory.angles)
+        self._goals.hold(self._report.angle)
         self._contactor.request_open()
 
     def cycle(self) -> ServoReport:
         """Run one bus cycle and return the state after it. Never raises `DriverError`."""
         try:
-            if self._phase is ServoPhase.DISCONNECTED:
+            if self.phase is ServoPhase.DISCONNECTED:
                 self._reopen()
             self._serve_requests()
-            if self._phase is not ServoPhase.DISCONNECTED:
+            if self.phase is not ServoPhase.DISCONNECTED:
                 self._exchange()
         except PortGone as error:
             self._disconnect(error)
-        return self._memory.report(self._clock.now(), self._phase, self._faults(), self._watch.strays)
+        if self.phase is ServoPhase.DISCONNECTED:
+            self._report = self.bus.unknown()
+        return self._report._replace(
+            phase=self.phase,
+            thermal_reserve=tuple(model.reserve() for model in self._thermal),
+            stray=tuple(self._watch.strays),
+            faults=tuple(self._faults()),
+        )
 
     def _exchange(self) -> None:
         """Send goals, read the state and react to it."""
-        if self._phase is ServoPhase.OFF:
-            snapshot = self.bus.read()
+        if self.phase is ServoPhase.OFF:
+            self._take_report(self.bus.read())
         else:
             self._advance()
-            snapshot = self.bus.exchange(self._goals.angles, self._goals.bounds)
-        self._snapshot = snapshot
-        self._memory.learn(snapshot)
-        self._check_watchdogs(snapshot)
-        if self._phase is ServoPhase.ON:
-            self._stop_on_faults(snapshot)
-        elif self._phase is ServoPhase.STOPPING and self._may_switch_off():
+            self._take_report(self.bus.exchange(self._goals.angles, self._goals.bounds))
+        self._check_watchdogs()
+        if self.phase is ServoPhase.ON:
+            self._stop_on_faults()
+        elif self.phase is ServoPhase.STOPPING and self._may_switch_off():
             self._switch_off()
-        elif self._phase is ServoPhase.OFF:
-            self._keep_off(snapshot)
-        if self._phase is ServoPhase.OFF:
-            self._restore(snapshot)
+        elif self.phase is ServoPhase.OFF:
+            self._keep_off()
+        if self.phase is ServoPhase.OFF:
+            self._configure_restarted()
 
-    def _stop_on_faults(self, snapshot: BusSnapshot) -> None:
+    def _take_report(self, report: ServoReport) -> None:
+        """Store a cycle's report, and let its currents heat the windings."""
+        elapsed = 0.0 if math.isnan(self._heated_at) else report.time - self._heated_at
+        for model, current, temperature in zip(self._thermal, report.current, report.temperature, strict=True):
+            if math.isnan(self._heated_at):
+                model.start_at(temperature)
+            model.update(current, elapsed)
+        self._report, self._heated_at = report, report.time
+
+    def _stop_on_faults(self) -> None:
         """Stop on any fault; the servos get the stop goal within this cycle."""
-        faults = self._faults()
-        readings = snapshot.angle, snapshot.velocity, snapshot.current
-        if astray := self._watch.fault(snapshot.time, self._goals.angles, *readings):
+        report, faults = self._report, self._faults()
+        measured = zip(report.valid, report.angle, report.velocity, report.current, strict=True)
+        fresh = (row if valid else (math.nan,) * 3 for valid, *row in measured)  # a kept angle would seem to stand
+        if astray := self._watch.fault(report.time, self._goals.angles, *zip(*fresh, strict=True)):
             faults.append(astray)
-        lost = snapshot.with_torque(self._ids, False)
-        if lost:
+        if lost := report.with_torque(self._ids, False):
             faults.append(f"servo {lost[0]} switched its torque off on its own")
         if faults:
             self.stop("; ".join(faults))
             self.bus.write_goals(self._goals.angles, self._goals.bounds)
 
-    def _restore(self, snapshot: BusSnapshot) -> None:
-        """Configure restarted servos again; a restart may be why torque went off."""
-        for servo in self._restarts.restore(snapshot):
-            if self.unrequested_stop:
-                self.unrequested_stop += f"; servo {servo} has restarted on its own"
-        if self._restarts.is_rebooting:
-            self._restarts.look(snapshot, self._faults())
-
-    def _keep_off(self, snapshot: BusSnapshot) -> None:
+    def _keep_off(self) -> None:
         """Switch off a servo that missed the switch-off, as soon as it answers again."""
-        on = snapshot.with_torque(self._ids, True)
+        on = self._report.with_torque(self._ids, True)
         if on:
             self._notify("warning", f"servos {on} have torque without a request; switching it off")
             self.bus.disable_torque()
+
+    def _configure_restarted(self) -> None:
+        """Configure restarted servos again; finish a reboot if all are back or its time is over."""
+        for index, servo in enumerate(self._ids):
+            if self._report.rebooted[index] and self._is_configured(index):
+                self._notify("warning", f"servo {servo} had restarted; configured again, torque off")
+                self._away.discard(index)
+                if not self._rebooting and self.unrequested_stop:  # it may be why torque went off
+                    self.unrequested_stop += f"; servo {servo} has restarted on its own"
+        if not self._rebooting:
+            return
+        faults = "; ".join(self._faults())
+        if not self._away and self._report.complete:
+            self._finish_reboot(not faults, faults or "rebooted and configured; torque is off")
+        elif self._clock.now() >= self._reboot_until:
+            self._finish_reboot(False, faults or "the servos did not come back in time")
+
+    def _is_configured(self, index: int) -> bool:
+        """Configure a servo again; tell each new reason why it cannot be."""
+        try:
+            self.bus.configure(index)
+        except PortGone:
+            raise
+        except DriverError as error:
+            if str(error) != self._setup_error:
+                self._setup_error = str(error)
+                self._notify("warning", f"servo {self._ids[index]} had restarted: {error}")
+            return False
+        return True
+
+    def _finish_reboot(self, success: bool, message: str) -> None:
+        if self._rebooting:
+            self._rebooting.finish(success, message)
+            self._rebooting = None
 
     def _may_switch_off(self) -> bool:
         """Return whether torque may go off: the stop time has passed, or it was requested and the contactor is open."""
@@ -488,15 +416,15 @@ class ServoController:
         now = self._clock.now()
         with self._lock:
             submitted, self._submitted = self._submitted, None
-        if submitted is not None and self._phase is ServoPhase.ON:
+        if submitted is not None and self.phase is ServoPhase.ON:
             self._goals.follow(*submitted, now)
         self._goals.advance(now)
 
-    def _check_watchdogs(self, snapshot: BusSnapshot) -> None:
-        tripped = [servo for servo, stopped in zip(self._ids, snapshot.watchdog_tripped, strict=True) if stopped]
+    def _check_watchdogs(self) -> None:
+        tripped = [servo for servo, has in zip(self._ids, self._report.watchdog_tripped, strict=True) if has]
         if not tripped:
             return
-        if self._phase is ServoPhase.ON:
+        if self.phase is ServoPhase.ON:
             self._resume_after_silence(f"the bus fell silent and servos {tripped} stopped by their watchdog")
         try:
             self.bus.restart_watchdogs()
@@ -511,22 +439,31 @@ class ServoController:
         if now - self._trips[0] < _TRIPS_WITHIN:
             self.stop(f"{event} repeatedly; this computer is overloaded")
         else:
-            self._goals.resume_at(self._memory.angles, now)
+            self._goals.resume_at(self._report.angle, now)
             self._notify("warning", f"{event}; resuming from where they stopped")
 
     def _faults(self) -> list[str]:
-        """Return the faults that forbid moving, from the last snapshot."""
-        if self._phase is ServoPhase.DISCONNECTED:
-            return [self._reconnection.fault]
-        return find_faults(self._ids, self._snapshot) if self._snapshot is not None else []
+        """Return the faults that forbid moving, one sentence each."""
+        if self.phase is ServoPhase.DISCONNECTED:
+            return [self._lost]
+        found = []
+        for index, servo in enumerate(self._ids):
+            if self._report.rebooted[index]:
+                found.append(f"servo {servo} has restarted on its own")
+            elif self._report.missing[index]:
+                found.append(f"servo {servo} does not answer; check its supply and its cable")
+            if errors := describe_hardware_error(self._report.hardware_error[index]):
+                found.append(f"servo {servo} has latched: {errors}; remove the cause, then call reboot_servos")
+        return found
 
     def _serve_requests(self) -> None:
-        while request := self._requests.next():
+        while not self._requests.empty():
+            request = self._requests.get_nowait()
             try:
                 if refusal := late(self._clock.now() - request.sent):
                     request.finish(False, refusal)
-                elif self._phase is ServoPhase.DISCONNECTED:
-                    request.finish(False, self._reconnection.fault)
+                elif self.phase is ServoPhase.DISCONNECTED:
+                    request.finish(False, self._lost)
                 elif request.action == "torque_on":
                     self._switch_on(request)
                 elif request.action == "torque_off":
@@ -539,33 +476,32 @@ class ServoController:
                     raise
 
     def _switch_on(self, request: ServoRequest) -> None:
-        if self._phase is ServoPhase.ON:
+        if self.phase is ServoPhase.ON:
             request.finish(True, "torque is already on")
             return
-        if self._phase is ServoPhase.STOPPING:
+        if self.phase is ServoPhase.STOPPING:
             request.finish(False, f"stopping: {self.stop_reason}")
             return
         faults = self._faults()
-        if faults or self._restarts.is_rebooting:
+        if faults or self._rebooting:
             request.finish(False, "; ".join(faults) or "the servos are being rebooted")
             return
-        snapshot = self.bus.enable_torque(self._goals.default)
-        self._memory.learn(snapshot)
-        self._goals.begin_at(snapshot.angle)
-        self._watch.begin_at(snapshot.angle)
+        self._take_report(self.bus.enable_torque(self._goals.default))
+        self._goals.begin_at(self._report.angle)
+        self._watch.begin_at(self._report.angle)
         self.unrequested_stop = ""
         with self._lock:
             self._submitted = None
-            self._phase = ServoPhase.ON
+            self.phase = ServoPhase.ON
         request.finish(True, "torque is on, holding the present position")
         self._notify("info", "torque on")
 
     def _switch_off_when_open(self, request: ServoRequest) -> None:
         """Switch torque off once the contactor is open, or after `OPENING_TIME`."""
-        self._requests.hold(request)
-        if self._phase is ServoPhase.ON:
+        self._switching_off.append(request)
+        if self.phase is ServoPhase.ON:
             self._begin_stop("torque is being switched off on request", OPENING_TIME)
-        elif self._phase is ServoPhase.STOPPING:
+        elif self.phase is ServoPhase.STOPPING:
             self._stop_at = min(self._stop_at, self._clock.now() + OPENING_TIME)
             self._contactor.request_open()
         else:
@@ -573,7 +509,7 @@ class ServoController:
 
     def _switch_off(self) -> None:
         with self._lock:
-            was, self._phase = self._phase, ServoPhase.OFF
+            was, self.phase = self.phase, ServoPhase.OFF
             self._submitted = None
         self._stop_at = math.inf
         unseen = was is ServoPhase.STOPPING and not self._contactor.is_open()
@@ -585,89 +521,69 @@ class ServoController:
             elif was is not ServoPhase.OFF:
                 self._notify("info", "torque off")
         doubt = "; the contactor was not seen open before" if unseen else ""
-        self._requests.finish_held(True, f"torque is off{doubt}")
+        self._finish_switching_off(True, f"torque is off{doubt}")
+
+    def _finish_switching_off(self, success: bool, message: str) -> None:
+        for request in self._switching_off:
+            request.finish(success, message)
+        self._switching_off.clear()
 
     def _reboot(self, request: ServoRequest) -> None:
-        if self._phase is ServoPhase.OFF:
-            self._restarts.reboot(request, self._snapshot)
+        """Restart the servos with a latched error, or all if none has one; `request` is finished when they are back."""
+        if self.phase is not ServoPhase.OFF:
+            request.finish(False, f"{self.phase.value}; call set_torque with false first")
+        elif self._rebooting:
+            request.finish(False, "the servos are already being rebooted")
         else:
-            request.finish(False, f"{self._phase.value}; call set_torque with false first")
+            faulty = {index for index, bits in enumerate(self._report.hardware_error) if bits}
+            self._away = faulty or set(range(len(self._ids)))
+            for index in sorted(self._away):
+                self.bus.reboot(index)
+            self._rebooting, self._reboot_until = request, self._clock.now() + _REBOOT_TIME
 
     def _reopen(self) -> None:
-        if self._reconnection.attempt():
-            self._take_open_bus()
+        """Open the port again, if the next attempt is due."""
+        if self._clock.now() < self._reopen_at:
+            return
+        try:
+            self.open()
+        except DriverError as error:
+            self._reopen_at = self._clock.now() + _REOPEN_EVERY
+            if str(error) != self._lost:
+                self._lost = str(error)
+                self._notify("error", self._lost)
+        else:
+            self.reconnections += 1
             self._notify("info", "connected again; torque is off")
 
     def _disconnect(self, error: PortError) -> None:
         self.bus.close()
-        if self._phase in (ServoPhase.ON, ServoPhase.STOPPING):
+        if self.phase in (ServoPhase.ON, ServoPhase.STOPPING):
             self.unrequested_stop = str(error)
             self._contactor.request_open()
         with self._lock:
-            self._phase = ServoPhase.DISCONNECTED
+            self.phase = ServoPhase.DISCONNECTED
             self._submitted = None
-        self._snapshot = None
-        self._reconnection.lost(error)
-        self._memory.forget()
+        self._lost, self._reopen_at = str(error), self._clock.now() + _REOPEN_EVERY
         self._refuse_all(str(error))
         self._notify("error", str(error))
 
     def _refuse_all(self, reason: str) -> None:
-        self._restarts.refuse(reason)
-        self._requests.refuse_all(reason)
-
-
-class DiagnosticEntry(NamedTuple):
-    """One status.
-
-    Attributes:
-        level: OK, WARN or ERROR.
-        message: one sentence.
-        values: further values.
-        part: name of the device or bus.
-    """
-
-    level: bytes
-    message: str
-    values: dict[str, object]
-    part: str
-
-
-class RefusedTrajectories(NamedTuple):
-    """Trajectories that were refused.
-
-    Attributes:
-        now: since the last diagnostic.
-        total: since the start.
-        forbidden: of the total, those forbidden by the state of the contactor.
-        last: reason of the last refusal.
-        by: senders of those forbidden since the last diagnostic.
-    """
-
-    now: int
-    total: int
-    forbidden: int
-    last: str
-    by: str
+        self._finish_reboot(False, reason)
+        self._finish_switching_off(False, reason)
+        while not self._requests.empty():
+            self._requests.get_nowait().finish(False, reason)
 
 
 def bus_entry(
-    report: ServoReport,
-    controller: ServoController,
-    contactor: str,
-    refusals: RefusedTrajectories,
-    rate: float,
-    late: int,
-) -> DiagnosticEntry:
-    """Return the state of the bus.
+    report: ServoReport, controller: ServoController, refused: str = ""
+) -> tuple[bytes, str, dict[str, object]]:
+    """Return level, message and values of the bus for the diagnostics.
 
     Args:
         report: of the last cycle.
         controller: for its counters.
-        contactor: its known state.
-        refusals: of trajectories.
-        rate: cycles per second since the last diagnostic, Hz.
-        late: number of late cycles since the start.
+        refused: reason why a trajectory was refused since the last diagnostic; '' = none was.
     """
     settings = controller.bus.settings
     values: dict[str, object] = {
@@ -675,52 +591,40 @@ def bus_entry(
         "baud_rate": settings.baud_rate,
         "ids": list(settings.ids),
         "type": controller.bus.drive.servo.name,
-        "rate": quantity(rate, ".1f", "Hz"),
-        "late_cycles": late,
         **asdict(controller.bus.counters),
         "watchdog_trips": controller.watchdog_trips,
         "reconnections": controller.reconnections,
-        "contactor": contactor,
-        "refused_trajectories": refusals.total,
-        "forbidden_trajectories": refusals.forbidden,
-        "last_refusal": refusals.last,
     }
     if report.faults:
-        level, message = ERROR, "; ".join(report.faults)
-    elif report.phase is ServoPhase.STOPPING:
-        level, message = WARN if controller.is_releasing else ERROR, controller.stop_reason
-    elif refusals.now:
-        level, message = WARN, f"{refusals.last}{f'; sent by {refusals.by}' if refusals.by else ''}"
-    elif report.phase is ServoPhase.OFF and controller.unrequested_stop:
-        level, message = WARN, f"torque off: {controller.unrequested_stop}"
-    else:
-        level, message = OK, report.phase.value
-    return DiagnosticEntry(level, message, values, "servo bus")
+        return ERROR, "; ".join(report.faults), values
+    if report.phase is ServoPhase.STOPPING:
+        return WARN if controller.is_releasing else ERROR, controller.stop_reason, values
+    if refused:
+        return WARN, refused, values
+    if report.phase is ServoPhase.OFF and controller.unrequested_stop:
+        return WARN, f"torque off: {controller.unrequested_stop}", values
+    return OK, report.phase.value, values
 
 
-def servo_entry(report: ServoReport, index: int, controller: ServoController, joint: str) -> DiagnosticEntry:
-    """Return the state of one servo."""
-    servo, hot = controller.bus.settings.ids[index], controller.bus.drive.servo.temperature_limit - _HOT
+def servo_entry(report: ServoReport, index: int, hot: float) -> tuple[bytes, str, dict[str, object]]:
+    """Return level, message and values of one servo for the diagnostics; it switches itself off at `hot` °C."""
+    temperature, reserve_left = report.temperature[index], report.thermal_reserve[index]
     values: dict[str, object] = {
-        "joint": joint,
-        "id": servo,
         "angle": quantity(report.angle[index], ".4f", "rad"),
         "current": quantity(report.current[index], ".3f", "A"),
         "voltage": quantity(report.voltage[index], ".1f", "V"),
-        "temperature": quantity(report.temperature[index], ".0f", "°C"),
-        "thermal_reserve": quantity(report.thermal_reserve[index], ".0f", "s"),
+        "temperature": quantity(temperature, ".0f", "°C"),
+        "thermal_reserve": quantity(reserve_left, ".0f", "s"),
         "torque_enabled": report.torque_enabled[index],
     }
-    errors = describe_hardware_error(report.hardware_error[index])
-    level, message = OK, "OK"
-    if errors:
-        level, message = ERROR, f"latched: {errors}"
-    elif not report.valid[index]:
-        level, message = ERROR, "no good reply; check its supply and cable"
-    elif report.temperature[index] >= hot:
-        level, message = WARN, f"hot: {report.temperature[index]:.0f} °C"
-    elif report.thermal_reserve[index] <= 0.0:
-        level, message = ERROR, "the winding has reached its thermal limit; let it rest"
-    elif report.thermal_reserve[index] < _LITTLE_RESERVE:
-        level, message = WARN, f"thermal limit in {report.thermal_reserve[index]:.0f} s at this current"
-    return DiagnosticEntry(level, message, values, f"servo {servo}")
+    if errors := describe_hardware_error(report.hardware_error[index]):
+        return ERROR, f"latched: {errors}", values
+    if not report.valid[index]:
+        return ERROR, "no good reply; check its supply and cable", values
+    if temperature >= hot - _HOT:
+        return WARN, f"hot: {temperature:.0f} °C", values
+    if reserve_left <= 0.0:
+        return ERROR, "the winding has reached its thermal limit; let it rest", values
+    if reserve_left < _LITTLE_RESERVE:
+        return WARN, f"thermal limit in {reserve_left:.0f} s at this current", values
+    return OK, "OK", values

@@ -11,7 +11,6 @@ import contextlib
 import os
 import select
 import termios
-import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,36 +18,13 @@ from typing import Any
 
 import serial
 from dynamixel_sdk.port_handler import PortHandler
-from dynamixel_sdk.protocol1_packet_handler import Protocol1PacketHandler
 from dynamixel_sdk.protocol2_packet_handler import Protocol2PacketHandler
-from dynamixel_sdk.robotis_def import (
-    COMM_RX_TIMEOUT,
-    COMM_SUCCESS,
-    INST_PING,
-    INST_READ,
-    INST_WRITE,
-)
+from dynamixel_sdk.robotis_def import COMM_RX_TIMEOUT, COMM_SUCCESS, INST_PING, INST_READ, INST_WRITE
 
 from deltacharger_core.machine import BAUD_RATE
 from deltacharger_core.servo_types import SPEEDS
-from deltacharger_driver.errors import (
-    CorruptReply,
-    DriverError,
-    NoAnswer,
-    PortGone,
-    ServoFault,
-    WrongDevice,
-    WrongThread,
-)
-from deltacharger_driver.packets import (
-    HEADER,
-    PLAIN,
-    STATUS,
-    PacketDecoder,
-    crc16,
-    instruction_packet,
-    sync_read_packet,
-)
+from deltacharger_driver.errors import CorruptReply, DriverError, NoAnswer, PortGone, ServoFault
+from deltacharger_driver.packets import HEADER, PLAIN, STATUS, crc16, instruction_packet, sync_read_packet
 from deltacharger_driver.parameters import REPLY_MARGIN, STALL_MARGIN
 from deltacharger_driver.ports import HANG_UPS, USB_LATENCY, latency_timer, open_serial
 from deltacharger_driver.servos.registers import ALERT, REGISTERS, describe_status_error
@@ -56,9 +32,6 @@ from deltacharger_driver.servos.registers import ALERT, REGISTERS, describe_stat
 PATIENCE = 0.1
 """s, like `parameters.REPLY_MARGIN`, outside the cycle, when only the set-up waits for the reply."""
 _DRAIN_LONGEST = 0.02  # s
-_SUSPECT_BYTES = 4096
-"""Number of first bytes that are searched for the board's packets. It sends POWER 20 times a second, so the wait of a
-ping receives one; with its 32-bit checksum no servo is mistaken for a board."""
 _ID, _LENGTH, _INSTRUCTION, _ERROR, _PARAMETERS = 4, 5, 7, 8, 9
 _SHORTEST = 11  # bytes of a status packet without parameters
 
@@ -71,28 +44,24 @@ class ServoPort(PortHandler):  # type: ignore[misc]
 
     It is also the clock of everything that uses it, so that emulated servos can be driven in virtual time.
 
-    Every method that receives raises `WrongDevice` if the first bytes after opening are the board's.
-
     Args:
         port: path, e.g. /dev/ttyUSB0.
         baud_rate: bit/s.
-        reply_margin: s, see `parameters.REPLY_MARGIN`.
 
     Attributes:
         margin: reply margin of the next packets, s.
     """
 
-    def __init__(self, port: str, baud_rate: int = BAUD_RATE, reply_margin: float = REPLY_MARGIN) -> None:
+    def __init__(self, port: str, baud_rate: int = BAUD_RATE) -> None:
         super().__init__(port)
         self.is_open: bool = False
         self.ser: serial.Serial | None = None
         self.baudrate = baud_rate
         self.latency = USB_LATENCY
-        self.margin = reply_margin
+        self.margin = PATIENCE
         self._descriptor = -1
         self._poller = select.poll()
         self._buffer = bytearray()
-        self._board: PacketDecoder | None = None
 
     def setupPort(self, cflag_baud: int) -> bool:  # noqa: N802
         """Open the port exclusively, or change the speed of the open port.
@@ -111,7 +80,6 @@ class ServoPort(PortHandler):  # type: ignore[misc]
             self._descriptor = self.ser.fileno()
             self._poller = select.poll()
             self._poller.register(self._descriptor, select.POLLIN)
-            self._board = PacketDecoder()
             self.latency = latency_timer(self.port_name)
             self.is_open = True
         self.is_using = False
@@ -223,18 +191,7 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         if not data:
             raise self._gone("end of file")
         self._buffer += data
-        if self._board is not None:
-            self._refuse_board(self._board, data)
         return True
-
-    def _refuse_board(self, decoder: PacketDecoder, data: bytes) -> None:
-        decoder.feed(data)
-        counters = decoder.counters
-        if counters.packets or counters.version_errors:
-            self.is_using = False
-            raise WrongDevice(str(self.port_name), "the servos", "the board with the pads and the power stage")
-        if counters.bytes >= _SUSPECT_BYTES:
-            self._board = None
 
     def _gone(self, reason: object) -> PortGone:
         self.is_using = False
@@ -272,10 +229,6 @@ class ServoProtocol(Protocol2PacketHandler):  # type: ignore[misc]
         super().__init__()
         self.counters = ServoLinkCounters()
         self._suspect = False
-
-    def updateCRC(self, crc_accum: int, data_blk_ptr: Sequence[int], data_blk_size: int) -> int:  # noqa: N802
-        """Return the checksum of the first `data_blk_size` bytes."""
-        return crc16(data_blk_ptr[:data_blk_size], crc_accum)
 
     def removeStuffing(self, packet: list[int]) -> list[int]:  # noqa: N802
         """Undo the stuffing and cut the packet to its length (the SDK shifts bytes under its own comparison)."""
@@ -397,7 +350,7 @@ class ServoProtocol(Protocol2PacketHandler):  # type: ignore[misc]
 
 
 class ServoLink:
-    """An open port with servos on it. Only the thread that opened it may use it.
+    """An open port with servos on it, for one thread.
 
     Args:
         port: path of the serial port.
@@ -416,11 +369,9 @@ class ServoLink:
         self.port = port
         self.baud_rate = baud_rate
         self._margin = reply_margin
-        self._handler = self.clock = handler(port, baud_rate, reply_margin)
+        self._handler = self.clock = handler(port, baud_rate)
         self._protocol = ServoProtocol()
         self.counters = self._protocol.counters
-        self._protocol_1 = Protocol1PacketHandler()
-        self._owner: threading.Thread | None = None
 
     @property
     def is_open(self) -> bool:
@@ -428,12 +379,11 @@ class ServoLink:
         return bool(self._handler.is_open)
 
     def open(self) -> None:
-        """Open the port; the calling thread owns it.
+        """Open the port.
 
         Raises:
             PortMissing, PortBusy, PortDenied, PortError: it cannot be opened.
         """
-        self._owner = threading.current_thread()
         self._handler.baudrate = self.baud_rate
         if not self._handler.openPort():
             speeds = ", ".join(map(str, SPEEDS.values()))
@@ -442,7 +392,6 @@ class ServoLink:
     def close(self) -> None:
         """Release the port. Never raises; works from any thread."""
         self._handler.closePort()
-        self._owner = None
 
     def set_speed(self, baud_rate: int) -> None:
         """Change the speed of the port, not of the servos.
@@ -450,7 +399,6 @@ class ServoLink:
         Raises:
             PortGone: the port vanished.
         """
-        self._check_owner()
         self._handler.setBaudRate(baud_rate)
 
     def ping(self, servo: int, attempts: int = 1) -> int:
@@ -466,16 +414,6 @@ class ServoLink:
             PortGone: the port vanished.
         """
         return int(self._ask(servo, "ping", attempts, lambda: (*self._protocol.ping(self._handler, servo)[:2], 0)))
-
-    def ping_protocol_1(self, servo: int) -> bool:
-        """Return whether a servo with this id speaks Protocol 1.0 at this speed.
-
-        Raises:
-            PortGone: the port vanished.
-        """
-        self._begin(hurry=False)
-        _, result, _ = self._protocol_1.ping(self._handler, servo)
-        return bool(result == COMM_SUCCESS)
 
     def read(self, servo: int, name: str, hurry: bool = False) -> int:
         """Return the register `name` of a servo.
@@ -544,9 +482,7 @@ class ServoLink:
         self, servos: Sequence[int], address: int, length: int, ahead: bytes = b""
     ) -> dict[int, tuple[int, bytes]]:
         """Return error byte and data of each servo that answered; see `ServoProtocol.sync_read`."""
-        self._begin(hurry=True)
-        if len(servos) > 1:
-            self._handler.margin += STALL_MARGIN
+        self._handler.margin = self._margin + (STALL_MARGIN if len(servos) > 1 else 0.0)
         return self._protocol.sync_read(self._handler, servos, address, length, ahead)
 
     def send(self, packets: bytes) -> None:
@@ -555,7 +491,6 @@ class ServoLink:
         Raises:
             PortGone: the port vanished or accepts no bytes.
         """
-        self._check_owner()
         self._protocol.send(self._handler, packets)
 
     def reboot(self, servo: int) -> None:
@@ -574,7 +509,7 @@ class ServoLink:
         Raises:
             NoAnswer, CorruptReply, ServoFault, PortGone: as in `read`.
         """
-        self._begin(hurry)
+        self._handler.margin = self._margin if hurry else max(self._margin, PATIENCE)
         began, result = self._handler.now(), COMM_RX_TIMEOUT
         for attempt in range(attempts):
             self.counters.retries += attempt > 0
@@ -586,16 +521,6 @@ class ServoLink:
                     raise ServoFault(servo, action, describe_status_error(code), code)
                 return data
         raise self._failure(servo, action, result, attempts)
-
-    def _begin(self, hurry: bool) -> None:
-        """Check the calling thread and set the reply timeout."""
-        self._check_owner()
-        self._handler.margin = self._margin if hurry else max(self._margin, PATIENCE)
-
-    def _check_owner(self) -> None:
-        caller = threading.current_thread()
-        if self._owner is not caller:
-            raise WrongThread(self._owner.name if self._owner else "none (it is closed)", caller.name)
 
     def _failure(self, servo: int, action: str, result: int, attempts: int) -> DriverError:
         device = f"servo {servo}"

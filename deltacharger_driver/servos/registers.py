@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 import math
 import struct
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from deltacharger_core.machine import (
@@ -288,7 +288,6 @@ class Drive:
     Attributes:
         servo: their type.
         torque_constant: N·m/A, converts torque bounds into currents.
-        current_bound: of each servo if a trajectory sets none, A.
         current_max: largest current bound of any goal, A. A servo with a lower current limit would ignore the whole
             goal, so the set-up refuses it.
         gains: P, I and D of the position loop, as in the registers. They are in RAM and lost at a restart.
@@ -296,14 +295,17 @@ class Drive:
 
     servo: ServoType
     torque_constant: float
-    current_bound: float
     current_max: float
-    gains: tuple[int, int, int]
+    gains: tuple[int, ...]
 
     def __post_init__(self) -> None:
-        for name, most in (("current_max", self.servo.largest_current), ("current_bound", self.current_max)):
-            if not 0.0 <= (value := getattr(self, name)) <= most:
-                raise RangeError(name, value, 0.0, most, " A")
+        if not 0.0 <= self.current_max <= self.servo.largest_current:
+            raise RangeError("current_max", self.current_max, 0.0, self.servo.largest_current, " A")
+
+    @property
+    def current_bound(self) -> float:
+        """Of each servo if a trajectory sets none, A."""
+        return min(self.servo.current_bound, self.current_max)
 
 
 @dataclass(frozen=True)
@@ -316,9 +318,8 @@ class BusSettings:
         ids: of the servos of limbs 0, 1, 2.
         zero_ticks: encoder count at angle 0, per servo.
         direction: per servo, +1 if the count rises with the angle, −1 if it falls.
-        watchdog: units of 20 ms, 1–6.
         reply_margin: s, see `parameters.REPLY_MARGIN`.
-        torque_constant, current_bound, current_max, gains: as in `Drive`.
+        torque_constant, current_max, gains: as in `Drive`.
         joint_min, joint_max: range of the arms' angles, rad.
     """
 
@@ -327,12 +328,10 @@ class BusSettings:
     ids: tuple[int, ...] = SERVO_IDS
     zero_ticks: tuple[int, ...] = (2048, 2048, 2048)
     direction: tuple[int, ...] = (1, 1, 1)
-    watchdog: int = WATCHDOG
     reply_margin: float = REPLY_MARGIN
     torque_constant: float | None = None
-    current_bound: float | None = None
     current_max: float | None = None
-    gains: tuple[int | None, int | None, int | None] = (None, None, None)
+    gains: tuple[int | None, ...] = (None, None, None)
     joint_min: float = JOINT_MIN
     joint_max: float = JOINT_MAX
 
@@ -350,24 +349,17 @@ class BusSettings:
             )
         if any(sign not in (1, -1) for sign in self.direction):
             raise DriverError(f"direction {self.direction}: each value is 1 or -1")
-        if not 1 <= self.watchdog <= WATCHDOG:
-            raise RangeError("watchdog", self.watchdog, 1, WATCHDOG, " × 20 ms")
-        for name, gain in zip(GAINS, self.gains, strict=True):
-            register = REGISTERS[name]
-            if gain is not None and not register.low <= gain <= register.high:
-                raise RangeError(name, gain, register.low, register.high)
 
     def drive(self, servo: ServoType) -> Drive:
         """Return the numbers for servos of a type.
 
         Raises:
-            RangeError: a current is beyond the type's registers, or the bound beyond the largest.
+            RangeError: `current_max` is beyond the type's registers.
         """
-        usual = Drive(servo, servo.torque_constant, servo.current_bound, servo.stall_current, servo.gains)
-        names = ("torque_constant", "current_bound", "current_max")
-        given = {name: value for name in names if (value := getattr(self, name)) is not None}
-        p, i, d = (own if gain is None else gain for gain, own in zip(self.gains, usual.gains, strict=True))
-        return replace(usual, **given, gains=(p, i, d))
+        constant = servo.torque_constant if self.torque_constant is None else self.torque_constant
+        most = servo.stall_current if self.current_max is None else self.current_max
+        gains = tuple(own if gain is None else gain for gain, own in zip(self.gains, servo.gains, strict=True))
+        return Drive(servo, constant, most, gains)
 
 
 class Reading(NamedTuple):

@@ -5,11 +5,11 @@ Publishes: servo_state (reliable, depth 1, at `rate`), joint_states, /diagnostic
     are refused).
 Subscribes: joint_trajectory and charger_power (reliable, depth 64; the newest accepted trajectory is followed).
 Serves: set_torque, reboot_servos. Calls: set_contactor, if it exists.
-Parameters: port, baud_rate, ids, rate, zero_ticks, direction, current_bound, current_max, joint_min, joint_max,
+Parameters: port, baud_rate, ids, rate, zero_ticks, direction, current_max, joint_min, joint_max,
 reply_margin, frame_prefix, joint_prefix; servos_file or torque_constant, position_p_gain, position_i_gain,
 position_d_gain.
 
-Of torque_constant, current_bound, current_max and the gains, what nobody sets is as the servos' type has it.
+Of torque_constant, current_max and the gains, what nobody sets is as the servos' type has it.
 
 Safe at start: torque is off; only set_torque switches it on, holding the present position. A missing servo, a latched
 hardware error or a lost port stops all servos: goal := present position, contactor open, torque off after 0.5 s. On
@@ -22,8 +22,8 @@ A trajectory's times count from its stamp (without one, from its arrival), and i
 in pieces under one stamp, each replacing the one before.
 
 While charger_power reports a closed contactor, the arm does not move. While its state is unknown, or a probe allows
-it to close, only the sender that last moved the arm with the contactor open may move it (motion_guard). The
-diagnostics name a refused sender; charging continues.
+it to close, only the sender that last moved the arm with the contactor open may move it (`MotionGuard`). Charging
+continues.
 """
 
 from __future__ import annotations
@@ -53,9 +53,11 @@ from deltacharger_core.frames import CHARGER_BASE, JointFrameParameters
 from deltacharger_core.machine import BEHIND_BOARD, JOINTS, PROBE_LIFETIME, ZERO_CURRENT
 from deltacharger_core.real_time import AHEAD, RateMeter
 from deltacharger_core.servo_types import MX_64
+from deltacharger_core.texts import quantity
 from deltacharger_driver.errors import DriverError, NoServosBehindBoard, TrajectoryRefused
 from deltacharger_driver.parameters import BOARD_MARGIN, OF_TYPE, SERVOS_FOLLOW, ServoNodeParameters
-from deltacharger_driver.servos.controller import RefusedTrajectories, ServoController, bus_entry, servo_entry
+from deltacharger_driver.servos.bus import ServoPhase, ServoReport
+from deltacharger_driver.servos.controller import Contactor, ServoController, bus_entry, servo_entry
 from deltacharger_driver.servos.motion import (
     ContactorState,
     JointLimits,
@@ -65,12 +67,10 @@ from deltacharger_driver.servos.motion import (
     check,
     check_age,
 )
-from deltacharger_driver.servos.registers import BusSettings, Drive
-from deltacharger_driver.servos.report import ServoPhase, ServoReport
+from deltacharger_driver.servos.registers import GAINS, BusSettings, Drive
 from deltacharger_ros import node_support
 from deltacharger_ros.clock import Stamps, stamp_age
 from deltacharger_ros.diagnostics import Diagnostics
-from deltacharger_ros.duplicates import publishers
 from deltacharger_ros.executor import order_age
 from deltacharger_ros.log import Log
 from deltacharger_ros.messages import seconds
@@ -87,7 +87,6 @@ _LARGEST_POWER = 1024  # bytes of a charger_power; a valid one has 80
 LONGEST_SECRET = 64  # characters of header.frame_id
 _LARGEST = 128 * 1024  # bytes of a trajectory, and of all that one cycle reads; 1000 points have 112 000, read in 36 ms
 _LARGEST_HOLD = 512  # bytes of a trajectory without points
-_STRANGERS = 8  # publishers that are kept for the diagnostics
 _Line = tuple[Sender, int, int]
 
 _DIAGNOSTICS_PERIOD = 1.0  # s
@@ -99,7 +98,7 @@ _POLL_PERIOD = 0.05  # s between two checks for this port
 _SERVICE_TIMEOUT = 5.0  # s; a reboot takes up to 3
 
 
-class ContactorClient:
+class ContactorClient(Contactor):
     """The contactor for `ServoController`, and the motion guard, over set_contactor and charger_power.
 
     Used by one thread.
@@ -234,22 +233,15 @@ class TrajectoryInbox:
         refused: trajectories refused since the start.
         forbidden: of these, those refused because of the contactor.
         last_refusal: reason of the last refusal.
-        strangers: publisher ids of the forbidden ones; the reader clears it.
     """
 
     def __init__(self, node: Node, limits: JointLimits) -> None:
         self.refused = self.forbidden = 0
         self.last_refusal = ""
-        self.strangers: set[bytes] = set()
         self._node = node
         self._limits = limits
         self._topic = BoundedTopic(node, JointTrajectory, "joint_trajectory", KEPT)
         self._followed: _Line | None = None  # the line being followed
-
-    @property
-    def topic(self) -> str:
-        """Full name of the topic."""
-        return self._topic.name
 
     def serve(self, controller: ServoController, guard: MotionGuard, state: ContactorState) -> None:
         """Pass the newest valid trajectory to the controller and refuse the newer ones.
@@ -268,7 +260,7 @@ class TrajectoryInbox:
             allowed = guard.may_move(sender, state)
             size = len(received.data)
             if not allowed and size > _LARGEST_HOLD:
-                self._forbid(received, state)
+                self._forbid(state)
                 continue
             if size > _LARGEST:
                 self._refuse(f"it has {size} bytes, more than {_LARGEST}; send fewer points and short names")
@@ -281,7 +273,7 @@ class TrajectoryInbox:
                 if message is None:
                     raise TrajectoryRefused("its bytes are not a JointTrajectory")
                 if message.points and not allowed:
-                    self._forbid(received, state)
+                    self._forbid(state)
                     continue
                 self._follow(controller, message, sender)
             except TrajectoryRefused as error:
@@ -309,10 +301,8 @@ class TrajectoryInbox:
         """Return the age of a stamp on the node's clock, s; 0 if not set, NaN if invalid."""
         return stamp_age(self._node.get_clock(), stamp) if stamp.sec or stamp.nanosec else 0.0
 
-    def _forbid(self, received: Received, state: ContactorState) -> None:
+    def _forbid(self, state: ContactorState) -> None:
         self.forbidden += 1
-        if len(self.strangers) < _STRANGERS:
-            self.strangers.add(received.publisher)
         self._refuse(state.value)
 
     def _refuse(self, reason: str) -> None:
@@ -395,9 +385,8 @@ class ServoNode(Node):
                 given.direction,
                 reply_margin=given.reply_margin + BOARD_MARGIN * self._is_behind_board,
                 torque_constant=chosen["torque_constant"],
-                current_bound=chosen["current_bound"],
                 current_max=chosen["current_max"],
-                gains=(chosen["position_p_gain"], chosen["position_i_gain"], chosen["position_d_gain"]),
+                gains=tuple(chosen[name] for name in GAINS),
                 joint_min=given.joint_min,
                 joint_max=given.joint_max,
             )
@@ -408,10 +397,8 @@ class ServoNode(Node):
 
     def _tell_type(self, drive: Drive) -> None:
         """Show what the servos' type decided in the parameters that nobody set, and in the log."""
-        gains = zip(("position_p_gain", "position_i_gain", "position_d_gain"), drive.gains, strict=True)
-        values = {name: getattr(drive, name) for name in ("torque_constant", "current_bound", "current_max")} | dict(
-            gains
-        )
+        values = {"torque_constant": drive.torque_constant, "current_max": drive.current_max}
+        values |= dict(zip(GAINS, drive.gains, strict=True))
         found = {name: value for name, value in values.items() if name in self._unset}
         if drive.servo is not MX_64 and found:
             show_values(self, found)
@@ -482,25 +469,29 @@ class ServoNode(Node):
             time.sleep(due - now)
 
     def _publish_diagnostics(self, report: ServoReport) -> None:
-        rate, late = self._cycles.rate(), self._cycles.late
+        controller = self._controller
         if report.phase is not ServoPhase.ON:
             self._contactor_state = self._contactor.state()
-        entries = [bus_entry(report, self._controller, self._contactor_state.name, self._refusals(), rate, late)]
-        entries += [servo_entry(report, index, self._controller, joint) for index, joint in enumerate(JOINTS)]
-        port = self._controller.bus.settings.port
-        self._diagnostics.publish(*(self._diagnostics.status(*entry, port) for entry in entries))
-
-    def _refusals(self) -> RefusedTrajectories:
-        """Return the trajectories refused since the last call."""
-        if not self._listening.is_set():
-            return RefusedTrajectories(0, 0, 0, "", "")
-        inbox = self._inbox
-        new, self._refused = inbox.refused - self._refused, inbox.refused
-        by = publishers(self, inbox.topic, inbox.strangers) if inbox.strangers and self.context.ok() else ""
-        if b"" in inbox.strangers:  # Jazzy's rclpy does not provide the sender
-            by = f"one of {by}"
-        inbox.strangers.clear()
-        return RefusedTrajectories(new, inbox.refused, inbox.forbidden, inbox.last_refusal, by)
+        refused, total, forbidden = "", 0, 0
+        if self._listening.is_set():
+            total, forbidden, refused = self._inbox.refused, self._inbox.forbidden, self._inbox.last_refusal
+        level, message, values = bus_entry(report, controller, refused if total > self._refused else "")
+        self._refused = total
+        values |= {
+            "rate": quantity(self._cycles.rate(), ".1f", "Hz"),
+            "late_cycles": self._cycles.late,
+            "contactor": self._contactor_state.name,
+            "refused_trajectories": total,
+            "forbidden_trajectories": forbidden,
+            "last_refusal": refused,
+        }
+        settings, hot = controller.bus.settings, controller.bus.drive.servo.temperature_limit
+        statuses = [self._diagnostics.status(level, message, values, "servo bus", settings.port)]
+        for index, (joint, servo) in enumerate(zip(JOINTS, settings.ids, strict=True)):
+            level, message, values = servo_entry(report, index, hot)
+            values = {"joint": joint, "id": servo, **values}
+            statuses.append(self._diagnostics.status(level, message, values, f"servo {servo}", settings.port))
+        self._diagnostics.publish(*statuses)
 
     def _take_trajectory(self) -> None:
         """Pass a received trajectory to the controller or refuse it; hold while the contactor is closed."""

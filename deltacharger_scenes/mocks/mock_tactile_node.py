@@ -142,8 +142,7 @@ class MockTactileNode(Node):
         self._recent: list[np.ndarray[Any, np.dtype[np.float64]]] = []
         self._sequence = 0
         self._began = time.monotonic()
-        pitch = self._model.contact.pad_side / COLUMNS
-        self._samples = SamplePublishers(self, qos.LATEST, pitch, frames.named(END_EFFECTOR))
+        self._samples = SamplePublishers(self, qos.LATEST, frames.named(END_EFFECTOR))
         self._batteries = BatteryPublishers(self, frames)
         steady_timer(self, BATTERY_PERIOD, self._publish_batteries)
         group = ReentrantCallbackGroup()

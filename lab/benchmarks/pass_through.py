@@ -53,7 +53,7 @@ def adapter(folder: Path) -> Iterator[str]:
 def behind(board: str, folder: Path) -> Iterator[str]:
     """Yield the port that tactile_node would provide."""
     port = folder / "servos"
-    keeper = BoardKeeper(board, BAUD_RATE, 120.0, *[lambda *_: None] * 3, port)
+    keeper = BoardKeeper(board, 120.0, *[lambda *_: None] * 3, port)
     keeper.start()
     try:
         while not port.exists():

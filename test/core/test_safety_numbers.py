@@ -53,7 +53,7 @@ from deltacharger_driver.emulators.power import EmulatedPower, PowerStage, Stage
 from deltacharger_driver.errors import DriverError
 from deltacharger_driver.packets import PacketDecoder
 from deltacharger_driver.parameters import ServoNodeParameters, TactileNodeParameters
-from deltacharger_driver.servos import controller, motion, registers, report
+from deltacharger_driver.servos import controller, motion, registers
 from deltacharger_driver.servos.motion import ServoGoals
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.line import PEAK_SPEED
@@ -746,7 +746,7 @@ def measures(torque: int = 1, current: int = 0, voltage: int = 120, temperature:
 
 def heated(temperature: float, current: float = 3.0, servo: ServoType = MX_64) -> float:
     """Return the reserve (s) of a servo that starts at this temperature (°C) with this current (A)."""
-    model = report.ThermalModel(servo)
+    model = controller.ThermalModel(servo)
     model.start_at(temperature)
     model.update(current, 0.0)
     return model.reserve()
@@ -867,9 +867,9 @@ SETTINGS = (
     *settable(DockingParameters, ("clearance_min", 0.0, -1e-4), ("electrode_half_gap", 0.02, 0.021)),
     *settable(DockingParameters, ("live_servo_age_max", 0.5, 0.51), ("age_max", 2.0, 2.1)),
     *settable(DockingParameters, ("magnet_force", 300.0, 300.1)),
-    *settable(ServoNodeParameters, ("current_max", 4.1, 4.2), ("current_bound", 4.1, 4.2)),
+    *settable(ServoNodeParameters, ("current_max", 4.1, 4.2)),
     *settable(MeasuredServos, ("stiffness", 0.5, 0.4), ("stiffness", 160.0, 161.0), ("torque_constant", 0.1, 0.09)),
-    *settable(TactileNodeParameters, ("pitch", 1e-4, 9e-5), ("rate", 200.0, 201.0)),
+    *settable(TactileNodeParameters, ("rate", 200.0, 201.0)),
 )
 
 

@@ -17,7 +17,7 @@ from deltacharger_docking.contact import ContactCurrent
 from deltacharger_docking.context import Context
 from deltacharger_docking.observation import DockGoal, ElectrodePose
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_driver.servos.report import ThermalModel
+from deltacharger_driver.servos.controller import ThermalModel
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_sim.parameters import ContactParameters, MagnetParameters, ServoParameters

@@ -7,7 +7,7 @@ import errno
 import itertools
 import math
 import os
-import termios
+import struct
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -15,7 +15,6 @@ from pathlib import Path
 from unittest.mock import Mock
 
 import pytest
-import serial
 
 from deltacharger_core.machine import ChargeLimits
 from deltacharger_driver.board.link import BoardLink
@@ -183,14 +182,11 @@ def probe_until(rig: Rig, interrupt: Callable[[], object]) -> None:
         answer.result()
 
 
-def test_a_command_interrupted_by_a_reboot_reports_it(rig: Rig, link: BoardLink) -> None:
-    with pytest.raises(BoardRebooted, match="PROBE"):
-        probe_until(rig, rig.board.reboot)
-
-
-def test_unplugging_ends_every_command_with_port_gone_and_replugging_recovers(rig: Rig, link: BoardLink) -> None:
+def test_a_reboot_and_an_unplugging_end_every_command_and_replugging_recovers(rig: Rig, link: BoardLink) -> None:
     link.start()
     wait_until(lambda: len(rig.frames) >= 10)
+    with pytest.raises(BoardRebooted, match="PROBE"):
+        probe_until(rig, rig.board.reboot)
     with pytest.raises(PortGone):
         probe_until(rig, rig.cable.stop)
     assert len(rig.losses) == 1
@@ -204,7 +200,7 @@ def test_unplugging_ends_every_command_with_port_gone_and_replugging_recovers(ri
     before = len(rig.frames)
     wait_until(lambda: len(rig.frames) > before + 5)
     assert rig.frames[-1].sequence > last
-    assert rig.boots == []
+    assert len(rig.boots) == 1
 
 
 def test_a_callback_may_fail_but_not_ask(tmp_path: Path) -> None:
@@ -229,17 +225,19 @@ def test_a_callback_may_fail_but_not_ask(tmp_path: Path) -> None:
 def hello(*head: int, version: int = 1) -> bytes:
     """Return a HELLO that begins with these bytes, and the ACK of the first one asked for."""
     ack = Packet(PacketType.ACK, bytes((PacketType.HELLO, 0, 0, 0)))
-    return encode_packet(Packet(PacketType.HELLO, bytes(head).ljust(12, b"\0")), version) + encode_packet(ack, version)
+    return encode_packet(
+        Packet(PacketType.HELLO, bytes(head).ljust(16, b"\0") + struct.pack("<f", math.nan)), version
+    ) + encode_packet(ack, version)
 
 
 @pytest.mark.parametrize(
     ("answer", "error", "words"),
     [
         (hello(version=2), BoardMismatch, "version 2"),
-        (b"Welcome to minicom\r\n", BoardMismatch, "baud rate"),
+        (b"Welcome to minicom\r\n", BoardMismatch, "no intact packet"),
         (b"", NoAnswer, "^(?!.*other packets).*HELLO"),
         (hello(2, 1, 10, 10), BoardMismatch, r"version 2\.1"),
-        (hello(1, 0, 10, 10), BoardMismatch, r"version 1\.0.*flash"),
+        (hello(1, 1, 10, 10), BoardMismatch, r"version 1\.1.*flash"),
         (hello(1, MINOR, 16, 8), BoardMismatch, "16 x 8"),
     ],
 )
@@ -260,8 +258,8 @@ def test_a_sending_board_that_does_not_answer_is_distinguished_from_a_dead_one(r
 
 @pytest.mark.parametrize(
     "hang_up",
-    [serial.SerialException("gone"), OSError(errno.EIO, "I/O"), termios.error(errno.EIO, "gone"), b""],
-    ids=["SerialException", "OSError", "termios.error", "end of file"],
+    [OSError(errno.EIO, "I/O"), b""],
+    ids=["OSError", "end of file"],
 )
 def test_every_kind_of_hang_up_is_one_error(
     board_port: str, monkeypatch: pytest.MonkeyPatch, hang_up: Exception | bytes

@@ -29,7 +29,6 @@ from deltacharger_driver.board.receiver import BoardReceiver, BoardRequests
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.errors import NoAnswer
 
-from ..waiting import wait_until
 from .board_bench import STEP, Bench, acks
 
 LEASE = 0.25
@@ -263,11 +262,11 @@ def test_a_close_that_must_be_refused_is_refused_during_a_probe(charger: Charger
     def refuse() -> None:
         with pytest.raises(LeaseRefused, match="holder"):
             charger.close(holder="")
-        refusals.append(charger.guard._probe._running)
+        refusals.append(charger.guard._probing.locked())
 
     charger.on_probe = refuse
     charger.guard.probe()
-    assert refusals[0] is not None
+    assert refusals == [True]
 
 
 def test_a_close_waits_for_a_running_probe(charger: Charger) -> None:
@@ -275,7 +274,8 @@ def test_a_close_waits_for_a_running_probe(charger: Charger) -> None:
 
     def begin() -> None:
         closing.start()
-        wait_until(lambda: charger.guard._probe._priority, "the close to wait")
+        closing.join(0.05)
+        assert closing.is_alive()
         assert not charger.commands
 
     charger.on_probe = begin

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The device's clock: offset from the packets with the least delay, drift, reboots; rising sequence numbers."""
+"""The device's clock: offset from the packets with the least delay; rising sequence numbers; rates."""
 
 from __future__ import annotations
 
@@ -15,27 +15,17 @@ from deltacharger_driver.board.receiver import DeviceClock, SequenceUnwrapper
 from .virtual_line import Clock
 
 
-def run(
-    clock: DeviceClock, seconds: float, offset: float, drift: float, delay: random.Random, start: float = 0.0
-) -> float:
-    """Feed a 120 Hz stream with exponential delays and return the worst error over the last second."""
-    worst = 0.0
-    for number in range(int(seconds * 120)):
-        true = start + number / 120.0
-        device = (true - start) * (1.0 + drift)
-        received = true + offset + 0.0005 + delay.expovariate(1.0 / 0.002)
-        stamp = clock.update(device, received)
+@pytest.mark.parametrize("drift", [0.0, 100e-6, -100e-6])
+def test_the_offset_is_found_under_jitter_and_drift(drift: float) -> None:
+    clock, delay = DeviceClock(), random.Random(1)
+    for number in range(12 * 120):
+        true = number / 120.0
+        received = true + 1234.5 + delay.expovariate(1.0 / 0.002)
+        stamp = clock.update(true * (1.0 + drift), received)
         assert stamp <= received
-        if number > (seconds - 1.0) * 120:
-            worst = max(worst, abs(stamp - (true + offset + 0.0005)))
-    return worst
-
-
-@pytest.mark.parametrize("drift", [0.0, 50e-6, -200e-6])
-def test_offset_and_drift_are_found_under_jitter(drift: float) -> None:
-    clock = DeviceClock()
-    assert run(clock, 12.0, 1234.5, drift, random.Random(1)) < 0.0005
-    assert clock.drift == pytest.approx(-drift, abs=40e-6)
+        assert number < 600 or stamp == pytest.approx(true + 1234.5, abs=1e-3)
+    clock.reset()
+    assert clock.update(0.0, 6.5) == 6.5
 
 
 def test_a_stalled_host_does_not_move_the_clock() -> None:
@@ -46,36 +36,9 @@ def test_a_stalled_host_does_not_move_the_clock() -> None:
         assert stamp == pytest.approx(number / 120.0 + 50.0, abs=1e-4)
 
 
-@pytest.mark.parametrize("drift", [-100e-6, 0.0, 100e-6])
-def test_seconds_of_growing_delay_do_not_tilt_the_line(drift: float) -> None:
-    clock, delay = DeviceClock(), random.Random(5)
-    errors = []
-    for number in range(40 * 120):
-        true = number / 120.0
-        busy = max(true - 20.0, 0.0) * 0.001 if true < 26.0 else 0.0  # the host falls behind from 20 to 26 s
-        stamp = clock.update(true * (1.0 + drift), true + 0.0005 + busy + delay.expovariate(1.0 / 0.001))
-        errors.append(abs(stamp - true - 0.0005))
-    assert max(errors[600:]) < 0.001
-
-
-def test_a_reset_starts_from_the_first_packet() -> None:
-    clock = DeviceClock()
-    run(clock, 6.0, 0.0, 0.0, random.Random(4))
-    clock.reset()
-    assert clock.update(0.0, 6.5) == 6.5
-
-
-def test_many_turns_keep_rising() -> None:
+def test_a_repeated_packet_is_not_a_frame_and_numbers_rise_beyond_16_bits() -> None:
     counter = SequenceUnwrapper()
-    last = -1
-    for number in range(0, 300_000, 7):
-        unwrapped = counter.update(number % 65536)
-        assert unwrapped == number
-        assert unwrapped > last
-        last = unwrapped
-
-
-def test_a_repeated_packet_is_not_a_frame() -> None:
+    assert [counter.update(number % 65536) for number in range(0, 200_000, 30_000)] == list(range(0, 200_000, 30_000))
     counter = SequenceUnwrapper()
     assert [counter.update(n) for n in (5, 5, 6)] == [5, None, 6]
     assert (counter.lost, counter.duplicates) == (0, 1)

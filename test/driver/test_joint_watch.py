@@ -13,10 +13,10 @@ import pytest
 from deltacharger_core.machine import JOINT_MAX, JOINT_MIN, JOINT_SPEED, TICKS_PER_TURN
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.errors import ServoFault, TrajectoryRefused
+from deltacharger_driver.servos.bus import ServoPhase
 from deltacharger_driver.servos.controller import ServoController
 from deltacharger_driver.servos.motion import JointLimits, ServoWaypoint, check
 from deltacharger_driver.servos.registers import TICK, BusSettings
-from deltacharger_driver.servos.report import ServoPhase
 
 from ..marks import night
 from ..plants import BenchArm

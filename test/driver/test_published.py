@@ -16,7 +16,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from deltacharger_driver.board.protocol import Power, PowerSample, TactileSample
 from deltacharger_driver.board.tactile_node_io import SamplePublishers
-from deltacharger_driver.servos.report import ServoPhase, ServoReport
+from deltacharger_driver.servos.bus import ServoReport
 from deltacharger_driver.servos.servo_node import StatePublishers
 from deltacharger_ros.messages import seconds
 
@@ -55,7 +55,8 @@ def report(first: float) -> ServoReport:
     rows = [tuple(map(float, row)) for row in numbers[:6]]
     small = [tuple(map(int, row)) for row in numbers[6:8]]
     flags = (True, False, first > 0.0)
-    return ServoReport(time.monotonic(), ServoPhase.ON, flags[::-1], *rows[:5], small[0], flags, rows[5], small[1], ())  # type: ignore[arg-type]
+    found = ServoReport(time.monotonic(), flags[::-1], *rows[:5], small[0], flags)  # type: ignore[arg-type]
+    return found._replace(thermal_reserve=rows[5], stray=small[1])
 
 
 def test_servo_state_and_joint_states_show_each_report(node: Any) -> None:
@@ -77,7 +78,7 @@ def test_servo_state_and_joint_states_show_each_report(node: Any) -> None:
 
 
 def test_tactile_frame_and_charger_power_show_each_sample(node: Any) -> None:
-    publishers = SamplePublishers(node, QoSProfile(depth=1), 0.0024, "end_effector")
+    publishers = SamplePublishers(node, QoSProfile(depth=1), "end_effector")
     for number, tared in ((7, True), (2**40, False)):
         pads = np.arange(number % 97, number % 97 + 200, dtype=np.float32).reshape(2, 10, 10)
         pads[1, 3, 4] = math.nan

@@ -11,10 +11,10 @@ import pytest
 from deltacharger_core.machine import POSITION_P_GAIN, TORQUE_CONSTANT
 from deltacharger_core.servo_types import MX_64
 from deltacharger_driver.errors import TrajectoryRefused
+from deltacharger_driver.servos.bus import ServoPhase, ServoReport
 from deltacharger_driver.servos.controller import OPENING_TIME
 from deltacharger_driver.servos.motion import STOP_TIME
 from deltacharger_driver.servos.registers import TICK, WATCHDOG
-from deltacharger_driver.servos.report import ServoPhase, ServoReport
 
 from ..waiting import host
 from .servo_rig import DEFAULT, OVERLOAD, START, Rig

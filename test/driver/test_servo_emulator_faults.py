@@ -13,9 +13,9 @@ import pytest
 from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_driver.emulators.servo import OK, RANGE, RESULT_FAIL
 from deltacharger_driver.packets import BROADCAST, PING, READ, REBOOT, SYNC_READ, SYNC_WRITE, WRITE
-from deltacharger_driver.servos.controller import RefusedTrajectories, bus_entry
+from deltacharger_driver.servos.bus import ServoPhase, ServoReport
+from deltacharger_driver.servos.controller import bus_entry
 from deltacharger_driver.servos.registers import REGISTERS, indirect_address, indirect_data
-from deltacharger_driver.servos.report import ServoPhase, ServoReport
 from deltacharger_sim.charger.faults import Fault, Faults, Hardware
 
 from ..sim.fault_table import LEASE, SERVO_ROWS, Row
@@ -143,9 +143,9 @@ def test_every_fault_stops_a_moving_arm_by_its_rules_or_is_borne(rig: Rig, row: 
 
     def until(condition: Callable[[ServoReport], object]) -> None:
         def watch(report: ServoReport) -> object:
-            entry = bus_entry(report, rig.controller, "", RefusedTrajectories(0, 0, 0, "", ""), 0.0, 0)
-            told.append(f"{entry.message} {report.faults}")
-            values.update(entry.values)
+            _, message, found = bus_entry(report, rig.controller)
+            told.append(f"{message} {report.faults}")
+            values.update(found)
             return condition(report)
 
         rig.until(watch)

@@ -34,7 +34,7 @@ from deltacharger_ros.executor import Spinner
 from deltacharger_ros.node_support import StartupError
 
 from ..chargers import Spin, new_namespace, patience
-from ..nodes import TELLS_PUBLISHERS, call, options
+from ..nodes import call, options
 from ..plants import BenchArm
 from ..quick import PATIENT_MARGIN
 from ..waiting import DEADLINE, host, wait_until
@@ -196,7 +196,7 @@ def test_frequent_refusals_are_reported_at_a_bounded_rate(servos: Servos) -> Non
 @pytest.mark.witness
 @pytest.mark.version
 def test_while_the_contactor_is_closed_the_arm_stands_still_and_keeps_its_torque(context: Any, spin: Spin) -> None:
-    """A running line becomes a hold; the diagnostics name a refused sender."""
+    """A running line becomes a hold; the diagnostics report a refusal."""
     arm = BenchArm(START)
     with patience(), emulated(arm) as path:
         servos = Servos(context, path, arm, spin)
@@ -216,8 +216,7 @@ def test_while_the_contactor_is_closed_the_arm_stands_still_and_keeps_its_torque
         wait_until(lambda: not servos.node._controller._goals.are_moving, "the hold")
         held = servos.goals()
         stranger.send((0.0, HIGHER))
-        named = f"/{servos.namespace}/stranger" if TELLS_PUBLISHERS else "one of "
-        wait_until(lambda: stranger.reports(ContactorState.CLOSED.value, f"sent by {named}"), "a refusal")
+        wait_until(lambda: stranger.reports(ContactorState.CLOSED.value), "a refusal")
         assert servos.goals() == held
         stage.closed = False
         becomes(ContactorState.OPEN)

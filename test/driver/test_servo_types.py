@@ -16,17 +16,14 @@ from typing import Any
 import pytest
 
 from deltacharger_core import machine
-from deltacharger_core.servo_types import MX_64, TYPES, XM430_W350, ServoType, contact_band, model_name
-from deltacharger_driver.emulators.servo import ControlTable
+from deltacharger_core.servo_types import MX_64, TYPES, XM430_W350, ServoType
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
-from deltacharger_driver.errors import HandshakeError, RangeError, TrajectoryRefused
+from deltacharger_driver.errors import HandshakeError, RangeError
 from deltacharger_driver.ports import PseudoTerminal
-from deltacharger_driver.servos.bus import ServoBus, motion_registers
-from deltacharger_driver.servos.controller import ServoController
-from deltacharger_driver.servos.link import ServoLink
+from deltacharger_driver.servos.bus import ServoBus
+from deltacharger_driver.servos.controller import ServoController, ThermalModel, reserve
 from deltacharger_driver.servos.motion import JointLimits, ServoWaypoint, check
-from deltacharger_driver.servos.registers import GAINS, REGISTERS, BusSettings, current_to_counts, registers_of
-from deltacharger_driver.servos.report import ThermalModel, reserve
+from deltacharger_driver.servos.registers import REGISTERS, BusSettings, current_to_counts, registers_of
 
 from ..plants import BenchArm
 from ..quick import PATIENT_MARGIN
@@ -109,15 +106,6 @@ def test_the_xm430_has_the_figures_of_its_e_manual() -> None:
 
 
 @KINDS
-def test_the_band_of_contact_is_the_papers_force_on_every_type(kind: ServoType) -> None:
-    least, most = contact_band(kind)
-    assert least * kind.torque_constant == pytest.approx(0.4 * 6.0 / 4.1)
-    assert most * kind.torque_constant == pytest.approx(0.5 * 6.0 / 4.1)
-    assert contact_band(MX_64) == (0.4, 0.5)
-    assert contact_band(XM430_W350) == pytest.approx((0.328, 0.410), abs=1e-3)
-
-
-@KINDS
 def test_every_type_is_as_stiff_as_the_others_and_never_hotter_than_its_row_says(kind: ServoType) -> None:
     assert kind.gains[0] * kind.stiffness_per_gain == pytest.approx(machine.SERVO_STIFFNESS, rel=2e-3)
     assert kind.gains[2] * kind.damping_per_gain == pytest.approx(machine.SERVO_DAMPING, rel=2e-3)
@@ -128,46 +116,6 @@ def test_every_type_is_as_stiff_as_the_others_and_never_hotter_than_its_row_says
     hot.update(0.1, 0.0)
     assert hot.reserve() == 0.0
     assert reserve(0.0, 0.5, XM430_W350) < reserve(0.0, 0.8, MX_64)
-
-
-def set_up(link: ServoLink, bus: ServoBus, kind: ServoType) -> None:
-    """Fail unless the registers of a bus's servos are set for a type."""
-    wanted = motion_registers(kind) | dict(zip(GAINS, kind.gains, strict=True))
-    for servo in bus.settings.ids:
-        assert {name: link.read(servo, name) for name in wanted} == wanted
-
-
-@KINDS
-def test_the_servos_found_are_set_up_by_their_row_over_a_real_port(kind: ServoType) -> None:
-    emulator = ServoBusEmulator(BenchArm(START), kind=kind)
-    with PseudoTerminal(emulator) as terminal:
-        emulator.line_speed = terminal.speed
-        bus = ServoBus(BusSettings(terminal.path, reply_margin=PATIENT_MARGIN))
-        bus.open()
-        assert bus.drive.servo is kind
-        assert bus.drive.torque_constant == kind.torque_constant
-        assert bus.drive.current_max == kind.stall_current
-        set_up(bus._link, bus, kind)
-        assert bus.read().complete
-        bus.close()
-
-
-@pytest.mark.parametrize("kind", [XM430_W350])
-def test_no_register_that_a_type_lacks_is_touched(
-    make: Callable[[ServoType], Arm], monkeypatch: pytest.MonkeyPatch, kind: ServoType
-) -> None:
-    touched: set[int] = set()
-    for name in ("read", "write"):
-        method = getattr(ControlTable, name)
-
-        def spy(table: ControlTable, address: int, what: Any, method: Any = method) -> Any:
-            touched.update(range(address, address + (what if isinstance(what, int) else len(what))))
-            return method(table, address, what)
-
-        monkeypatch.setattr(ControlTable, name, spy)
-    make(kind).bus().open()
-    assert {38, 39, 44, 84, 98, 168, 224} <= touched
-    assert not touched & {40, 41, 42, 43}
 
 
 @KINDS
@@ -204,20 +152,6 @@ def test_a_torque_becomes_a_current_by_the_types_constant_unless_one_is_set(
 
 
 @KINDS
-def test_goals_are_no_faster_than_the_types_joints(make: Callable[[ServoType], Arm], kind: ServoType) -> None:
-    controller = make(kind).controller()
-    for faster, refused in ((0.98, False), (4.0, True)):
-        line = trajectory((1.9 / (faster * kind.joint_speed), [START[0] + 1.9, *START[1:]]))
-        if refused:
-            with pytest.raises(TrajectoryRefused, match=f"{kind.joint_speed} rad/s"):
-                controller.submit(line)
-        else:
-            controller.submit(line)
-            controller.freeze()
-            controller.cycle()
-
-
-@KINDS
 def test_the_limits_demanded_are_the_types_own(make: Callable[[ServoType], Arm], kind: ServoType) -> None:
     arm = make(kind)
     least = current_to_counts(kind.stall_current, kind)
@@ -232,10 +166,9 @@ def test_the_limits_demanded_are_the_types_own(make: Callable[[ServoType], Arm],
 
 
 def test_a_bound_beyond_the_types_registers_is_refused_at_the_set_up(make: Callable[[ServoType], Arm]) -> None:
-    for settings in ({"current_max": 4.0}, {"current_bound": 2.4}):
-        with pytest.raises(RangeError):
-            make(XM430_W350).bus(**settings).open()
-        make(MX_64).bus(**settings).open()
+    with pytest.raises(RangeError):
+        make(XM430_W350).bus(current_max=4.0).open()
+    make(MX_64).bus(current_max=4.0).open()
 
 
 def test_a_mixture_is_refused_by_name(make: Callable[[ServoType], Arm]) -> None:
@@ -253,8 +186,6 @@ def test_an_unknown_model_is_refused_by_its_number(make: Callable[[ServoType], A
     arm = make(OTHER)
     with pytest.raises(HandshakeError, match=r"servo 3 is model 9999, not MX-64 \(311\) or XM430-W350 \(1020\)"):
         arm.bus().open()
-    names = [model_name(model) for model in (9999, 1020, 310)]
-    assert names == ["model 9999", "XM430-W350", "MX-64 for Protocol 1.0"]
 
 
 def test_servos_of_another_type_are_refused_at_a_reconnection(make: Callable[[ServoType], Arm]) -> None:
@@ -269,20 +200,6 @@ def test_servos_of_another_type_are_refused_at_a_reconnection(make: Callable[[Se
     assert bus.drive.servo is XM430_W350
 
 
-def test_a_row_alone_is_a_type(make: Callable[[ServoType], Arm], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(TYPES, OTHER.model, OTHER)
-    arm = make(OTHER)
-    controller = arm.controller()
-    set_up(controller.bus._link, controller.bus, OTHER)
-    arm.plant.load[0] = -0.25 * OTHER.torque_constant
-    for _ in range(30):
-        report = controller.cycle()
-        arm.clock.sleep(0.01)
-    assert report.current[0] == pytest.approx(0.25, abs=2e-3)
-    assert not report.faults
-    controller.close()
-
-
 @pytest.mark.ros
 @pytest.mark.parametrize("given", [{}, {"torque_constant": 1.463, "position_p_gain": 500}])
 def test_servo_node_shows_and_uses_the_types_values_unless_they_are_given(context: Any, given: dict[str, Any]) -> None:
@@ -294,11 +211,11 @@ def test_servo_node_shows_and_uses_the_types_values_unless_they_are_given(contex
     with PseudoTerminal(emulator) as terminal:
         emulator.line_speed = terminal.speed
         node = ServoNode(**options(context, port=terminal.path, reply_margin=PATIENT_MARGIN, **given))
-        names = ("torque_constant", "position_p_gain", "position_d_gain", "current_max", "current_bound")
+        names = ("torque_constant", "position_p_gain", "position_d_gain", "current_max")
         found = {name: node.get_parameter(name).value for name in names}
         node.close()
         node.destroy_node()
     p, _, d = XM430_W350.gains
     own = {"torque_constant": 4.1 / 2.3, "position_p_gain": p, "position_d_gain": d, "current_max": 2.3}
-    assert found == pytest.approx({**own, "current_bound": XM430_W350.current_bound, **given})
+    assert found == pytest.approx({**own, **given})
     assert emulator.servo(2).table.get("position_p_gain") == found["position_p_gain"]

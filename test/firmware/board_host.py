@@ -9,7 +9,6 @@ import subprocess
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -201,14 +200,6 @@ class FirmwareBoard:
     def unknown_types(self) -> int:
         """Number of packets of unknown types."""
         return int(self.host.state()["unknown"])
-
-    @property
-    def counters(self) -> SimpleNamespace:
-        """The part of `DecoderCounters` that the driver's tests use."""
-        version, header, refused = (int(self.host.state()[name]) for name in ("version", "header", "refused"))
-        return SimpleNamespace(
-            version_errors=version, header_errors=header, refused_version=None if refused < 0 else refused
-        )
 
     def reboot(self) -> None:
         """Boot at the next poll."""

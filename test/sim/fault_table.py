@@ -177,10 +177,10 @@ BOARD_ROWS = (
     Row("board_delay", PADS, ("no fresh frames",), opens=0.45, amount=0.4, shows="late power"),
     Row("board_unplugged", LINK, ("/board",), opens=0.15, shows="tactile_node"),
     _tolerated("board_drop", LINK, "lost_tactile", 0.05),
-    _tolerated("board_corrupt", LINK, "crc_errors", 0.05),
+    _tolerated("board_corrupt", LINK, "damaged", 0.05),
     _tolerated("board_truncate", LINK, "lost_tactile", 0.05),
     _tolerated("board_duplicate", LINK, "duplicates", 0.05),
-    _tolerated("board_garbage", LINK, "cobs_errors", 0.05),
+    _tolerated("board_garbage", LINK, "damaged", 0.05),
     Row("target_port", POWER, opens=0.6, amount=5.0),
 )
 ROWS = SERVO_ROWS + BOARD_ROWS

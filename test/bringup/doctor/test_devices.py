@@ -39,7 +39,7 @@ def servo_findings(port: str, speeds: Sequence[int] = LIKELY) -> list[Finding]:
 
 
 def board_findings(port: str, watched: float = 0.15, **options: bool) -> list[Finding]:
-    return list(examiner.examine_board(port, 1_000_000, watched, **options))
+    return list(examiner.examine_board(port, watched, **options))
 
 
 def named(findings: Iterable[Finding], *expected: tuple[str, str, str]) -> None:
@@ -261,7 +261,7 @@ def test_a_busy_port_names_its_user(board_port: str) -> None:
 
 
 def test_a_path_that_is_no_port_is_wrong_with_a_remedy() -> None:
-    named(examine_port("servo port", "/dev"), ("wrong", "servo port", "directory"))
+    named(examine_port("servo port", "/dev"), ("wrong", "servo port", "not a serial port"))
 
 
 def test_a_free_port_is_ok_and_a_forbidden_one_names_the_group(

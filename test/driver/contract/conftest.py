@@ -118,7 +118,7 @@ def may_close(ports: dict[str, str], load_connected: bool) -> None:
 def bus(servo_site: ServoSite) -> Iterator[ServoBus]:
     """The servos configured for the cycle, torque off before and after."""
     bus = ServoBus(servo_site.settings)
-    bus.open(scan=False)
+    bus.open()
     yield bus
     with contextlib.suppress(DriverError):
         bus.disable_torque()
@@ -132,7 +132,7 @@ def link(servo_site: ServoSite) -> Iterator[ServoLink]:
     link = ServoLink(settings.port, settings.baud_rate, settings.reply_margin)
     link.open()
     try:
-        set_up(link, settings, scan=False)
+        set_up(link, settings)
         yield link
         for servo in settings.ids:
             with contextlib.suppress(DriverError):

@@ -14,7 +14,7 @@ from deltacharger_core.servo_types import ServoType
 from deltacharger_driver.errors import DriverError, ServoFault
 from deltacharger_driver.port_identity import identify
 from deltacharger_driver.servos import registers
-from deltacharger_driver.servos.bus import BusSnapshot, ServoBus, configure, motion_registers, restart_watchdog
+from deltacharger_driver.servos.bus import ServoBus, ServoReport, configure, motion_registers, restart_watchdog
 from deltacharger_driver.servos.link import ServoLink
 from deltacharger_driver.servos.registers import REGISTERS, has_restarted
 
@@ -103,7 +103,7 @@ def test_cycles_follow_each_other_without_a_missed_reply(bus: ServoBus, servo_si
     )
 
 
-def check_values(snapshot: BusSnapshot, site: ServoSite) -> None:
+def check_values(snapshot: ServoReport, site: ServoSite) -> None:
     """Fail if a value is impossible for a servo at rest at 12 V."""
     kind = site.kind
     for index, servo in enumerate(site.settings.ids):
@@ -149,7 +149,7 @@ def test_a_restart_loses_the_configuration_but_keeps_eeprom(link: ServoLink, ser
     assert (link.read(servo, "torque_enable"), link.read(servo, "bus_watchdog")) == (0, 0)
     assert link.read(servo, "operating_mode") == registers.MODE_CURRENT_POSITION
     assert link.read(servo, "position_p_gain") == servo_site.kind.position_p_gain
-    configure(link, servo, settings, settings.drive(servo_site.kind))
+    assert not configure(link, servo, settings.drive(servo_site.kind))
     wanted = set_up_of(servo_site.kind)
     assert {name: link.read(servo, name) for name in wanted} == wanted
 

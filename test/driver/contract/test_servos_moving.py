@@ -12,7 +12,7 @@ from dataclasses import replace
 import pytest
 
 from deltacharger_driver.errors import DriverError, ServoFault
-from deltacharger_driver.servos.bus import BusSnapshot, ServoBus
+from deltacharger_driver.servos.bus import ServoBus, ServoReport
 from deltacharger_driver.servos.controller import ServoController
 from deltacharger_driver.servos.link import ServoLink
 from deltacharger_driver.servos.registers import WATCHDOG, WATCHDOG_UNIT
@@ -56,12 +56,12 @@ def toward(start: Angles, step: float) -> Angles:
     return tuple(angle + step for angle in start)
 
 
-def moved(snapshot: BusSnapshot, start: Angles, step: float) -> list[float]:
+def moved(snapshot: ServoReport, start: Angles, step: float) -> list[float]:
     """How far each servo has come, as a share of `step`."""
     return [(angle - begin) / step for angle, begin in zip(snapshot.angle, start, strict=True)]
 
 
-def cycles(bus: ServoBus, goal: Angles | None, restart: bool = True) -> Iterator[BusSnapshot]:
+def cycles(bus: ServoBus, goal: Angles | None, restart: bool = True) -> Iterator[ServoReport]:
     """Exchange goal and state 100 times a second; restart watchdogs that a pause of this computer tripped."""
     while True:
         begin = time.monotonic()
@@ -73,10 +73,10 @@ def cycles(bus: ServoBus, goal: Angles | None, restart: bool = True) -> Iterator
         time.sleep(max(begin + PERIOD - time.monotonic(), 0.0))
 
 
-def follow(bus: ServoBus, goal: Angles, condition: Callable[[BusSnapshot], bool], what: str) -> list[BusSnapshot]:
+def follow(bus: ServoBus, goal: Angles, condition: Callable[[ServoReport], bool], what: str) -> list[ServoReport]:
     """Cycle until a snapshot fulfils the condition, and return all."""
     snapshots = cycles(bus, goal)
-    seen: list[BusSnapshot] = []
+    seen: list[ServoReport] = []
 
     def come() -> bool:
         seen.append(next(snapshots))
@@ -97,7 +97,7 @@ def test_torque_goes_on_at_the_present_angle_whatever_the_goal(bus: ServoBus, st
 def test_a_goal_is_reached_within_its_current_bound(held: ServoBus, start: Angles, step: float) -> None:
     for goal, far in ((toward(start, step), True), (start, False)):
 
-        def arrived(snapshot: BusSnapshot, far: bool = far) -> bool:
+        def arrived(snapshot: ServoReport, far: bool = far) -> bool:
             return all(share > 0.5 if far else share < 0.5 for share in moved(snapshot, start, step))
 
         seen = follow(held, goal, arrived, f"each servo to go half of {math.degrees(STEP):g}° with {BOUND:g} A")
@@ -140,7 +140,7 @@ def torque(site: ServoSite) -> list[int]:
 
 
 def test_torque_is_off_after_the_controller_was_closed(servo_site: ServoSite) -> None:
-    controller = ServoController(replace(servo_site.settings, current_bound=BOUND))
+    controller = ServoController(replace(servo_site.settings, current_max=BOUND))
     controller.open()
     try:
         request = controller.request("torque_on")
@@ -160,7 +160,7 @@ def test_opening_switches_off_remaining_torque(held: ServoBus, servo_site: Servo
     held.close()
     before = torque(servo_site)
     again = ServoBus(servo_site.settings)
-    again.open(scan=False)
+    again.open()
     again.close()
     assert before == [1, 1, 1]
     assert torque(servo_site) == [0, 0, 0]
