@@ -11,10 +11,10 @@ from functools import cached_property
 from typing import Any
 
 from deltacharger_core import environment
-from deltacharger_core.machine import LIVE_VOLTAGE
+from deltacharger_core.machine import BAR_GAP, BAR_HEIGHT, BAR_LENGTH, LIVE_VOLTAGE
 from deltacharger_core.yaml_file import read_yaml
 from deltacharger_driver.emulators.power import Outputs, PortParameters, StageParameters, StageReading, TargetPort
-from deltacharger_sim.parameters import CircuitParameters, TerminalParameters
+from deltacharger_sim.parameters import CircuitParameters
 from deltacharger_sim.touch import Bars
 
 Polygon = list[tuple[float, float]]
@@ -24,16 +24,15 @@ class Overlap:
     """Overlap of two terminals; attributes are computed when first used.
 
     Args:
-        terminal: size of the bars, equal on both sides.
         x: position of the target in end_effector, m.
         y: along y, m.
         angle: of the target, rad.
     """
 
-    def __init__(self, terminal: TerminalParameters, x: float, y: float, angle: float) -> None:
-        self._terminal, self._cosine, self._sine = terminal, math.cos(angle), math.sin(angle)
+    def __init__(self, x: float, y: float, angle: float) -> None:
+        self._cosine, self._sine = math.cos(angle), math.sin(angle)
         # From one bar's centre to the wrong bar's; the target's bars are offset along its own turned y.
-        pitch = 0.5 * (terminal.gap + terminal.height)
+        pitch = 0.5 * (BAR_GAP + BAR_HEIGHT)
         across_x, across_y = self._sine * pitch, -pitch - self._cosine * pitch
         self._down, self._up = (x + across_x, y + across_y), (x - across_x, y - across_y)
         # From one bar's centre to its mate's: upper to upper, lower to lower.
@@ -48,7 +47,7 @@ class Overlap:
     @property
     def fraction(self) -> float:
         """The overlap relative to full overlap."""
-        return self.area / (2.0 * self._terminal.length * self._terminal.height)
+        return self.area / (2.0 * BAR_LENGTH * BAR_HEIGHT)
 
     @cached_property
     def clearance(self) -> float:
@@ -62,20 +61,20 @@ class Overlap:
         return self.clearance < 0.0 < self.area and any(self._common(other) > 0.0 for other in wrong)
 
     def _common(self, place: tuple[float, float]) -> float:
-        return _common(self._terminal, *place, self._cosine, self._sine)
+        return _common(*place, self._cosine, self._sine)
 
     def _separation(self, place: tuple[float, float]) -> float:
-        return _separation(self._terminal, *place, self._cosine, self._sine)
+        return _separation(*place, self._cosine, self._sine)
 
 
-def _common(terminal: TerminalParameters, x: float, y: float, cosine: float, sine: float) -> float:
+def _common(x: float, y: float, cosine: float, sine: float) -> float:
     """Return the common area (m²) of two bars, the second's centre at (x, y) m from the first's, turned.
 
     The second is clipped at the first's four sides (Sutherland–Hodgman).
     """
     if sine == 0.0 and cosine > 0.0:
-        return max(terminal.length - abs(x), 0.0) * max(terminal.height - abs(y), 0.0)
-    half_x, half_y = 0.5 * terminal.length, 0.5 * terminal.height
+        return max(BAR_LENGTH - abs(x), 0.0) * max(BAR_HEIGHT - abs(y), 0.0)
+    half_x, half_y = 0.5 * BAR_LENGTH, 0.5 * BAR_HEIGHT
     along_x, along_y, across_x, across_y = half_x * cosine, half_x * sine, -half_y * sine, half_y * cosine
     polygon = [
         (x - along_x - across_x, y - along_y - across_y),
@@ -111,10 +110,10 @@ def _cut(polygon: Polygon, inside: list[float]) -> Polygon:
     return kept
 
 
-def _separation(terminal: TerminalParameters, x: float, y: float, cosine: float, sine: float) -> float:
+def _separation(x: float, y: float, cosine: float, sine: float) -> float:
     """Return the largest gap (m) along an edge normal of two bars, the second's centre at (x, y) m, turned; < 0
     overlap."""
-    half_x, half_y = 0.5 * terminal.length, 0.5 * terminal.height
+    half_x, half_y = 0.5 * BAR_LENGTH, 0.5 * BAR_HEIGHT
     wide = half_x + half_x * abs(cosine) + half_y * abs(sine)
     high = half_y + half_x * abs(sine) + half_y * abs(cosine)
     along, across = cosine * x + sine * y, cosine * y - sine * x

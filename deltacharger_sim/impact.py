@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from deltacharger_core.machine import BAR_GAP, BAR_HEIGHT, BAR_LENGTH
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.touch import TargetTouch, tilts
 
@@ -82,9 +83,9 @@ class Impact:
         self._touch = TargetTouch(parameters)
         self._onset = 0.0  # m of gap at which the faces first touch
         self._placed_at, self._pull = (math.nan, math.nan), 0.0
-        target, terminal = parameters.target, parameters.terminal
+        target = parameters.target
         # Leaning faces touch first away from their centres, at this gap at most.
-        self._onset_bound = terminal.length * abs(target.tilt_y) + (terminal.gap + terminal.height) * abs(target.tilt_x)
+        self._onset_bound = BAR_LENGTH * abs(target.tilt_y) + (BAR_GAP + BAR_HEIGHT) * abs(target.tilt_x)
         self.reach = self._near + self._onset_bound + _LEAD_STEPS * _LONGEST_MOVE
         self.follows = self._spent = self._touched = False
         self._gap = self._speed = self._gear = self._peak = self._mismatch = 0.0

@@ -30,7 +30,7 @@ from __future__ import annotations
 import math
 from math import atan2, cos, sin, sqrt
 
-from deltacharger_core.machine import GRAVITY_STRENGTH, NOMINAL_VOLTAGE
+from deltacharger_core.machine import GRAVITY_STRENGTH
 from deltacharger_kinematics.geometry import LIMB_COUNT, LIMB_DIRECTIONS, DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_sim.impact import StepForces, make_impact
@@ -394,8 +394,6 @@ class Mechanics(Motion):
     def _joints(self, dt: float) -> list[_Joint]:
         servo, geometry, at = self._parameters.servo, self._geometry, self._at
         most = servo.stall_torque
-        if servo.stall_sag > 0.0:
-            most *= 1.0 - servo.stall_sag * (1.0 - self.voltage / NOMINAL_VOLTAGE)
         square = at * dt * dt
         self._inertia, self._mass_rate = servo.inertia / square, self._mass / square
         self._drag = servo.viscosity / dt

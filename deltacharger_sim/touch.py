@@ -28,7 +28,7 @@ import math
 from math import hypot
 from typing import NamedTuple
 
-from deltacharger_core.machine import PAD_DISTANCE
+from deltacharger_core.machine import BAR_GAP, BAR_HEIGHT, BAR_LENGTH, PAD_DISTANCE
 from deltacharger_sim.pads import Turn
 from deltacharger_sim.parameters import WorldParameters
 
@@ -78,8 +78,7 @@ def tilts(parameters: WorldParameters) -> bool:
 
 def level_yaw(parameters: WorldParameters) -> float:
     """Return the platform's tilt about y (rad) at which both pads bear equally: on rolled ridges pitch acts as yaw."""
-    target, terminal = parameters.target, parameters.terminal
-    up = 0.5 * (terminal.gap + terminal.height)
+    target, up = parameters.target, 0.5 * (BAR_GAP + BAR_HEIGHT)
     held = 2.0 * parameters.contact.stiffness * up * up
     left = target.tilt_x / (1.0 + parameters.platform.compliance * held)
     return target.tilt_y - math.tan(target.roll) * left
@@ -97,11 +96,11 @@ class PlatformTilt:
     def __init__(self, parameters: WorldParameters) -> None:
         self._compliance = parameters.platform.compliance
         self._target = parameters.target.tilt_x, parameters.target.tilt_y
-        contact, terminal = parameters.contact, parameters.terminal
+        contact = parameters.contact
         self._yaw = level_yaw(parameters)
         self._stiffness, self._stop = contact.stiffness, 0.5 * contact.hard_stop_stiffness  # of one bar
         self._travel = contact.hard_stop
-        self._length, self._up = terminal.length, 0.5 * (terminal.gap + terminal.height)
+        self._up = 0.5 * (BAR_GAP + BAR_HEIGHT)
         self.angles = (0.0, 0.0)
         self._load = (0.0, 0.0)  # N of the last `press`, and the compression (m) of the platform's axis
         self._pads = PADS_TURN if self._compliance > 0.0 else 0.0  # N·m/rad
@@ -116,7 +115,7 @@ class PlatformTilt:
         """Set the target's centre to (x, y) in end_effector, m."""
         tilt_x, tilt_y = self._target
         self._middle = middle_x, middle_y = 0.5 * x, 0.5 * y  # of what overlaps
-        half = 0.5 * (self._length - abs(x))
+        half = 0.5 * (BAR_LENGTH - abs(x))
         self._half = half = half if half > _SHORTEST else _SHORTEST
         # The target leans about its own centre; the resulting compression on the platform's axis.
         self._lift = tilt_x * y - tilt_y * x

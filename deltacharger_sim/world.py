@@ -8,9 +8,7 @@ import math
 import random
 import threading
 import time
-import warnings
-from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, TypeVar
 
@@ -25,7 +23,7 @@ from deltacharger_sim.circuit import Circuit, Overlap
 from deltacharger_sim.mechanics import Mechanics
 from deltacharger_sim.motion import MakeMotion, Motion
 from deltacharger_sim.pads import Lean, Pose
-from deltacharger_sim.parameters import ServoParameters, UnprovenWarning, WorldParameters, doubts
+from deltacharger_sim.parameters import STEP, WorldParameters
 
 
 @dataclass
@@ -82,46 +80,6 @@ class Snapshot:
     clearance: float
 
 
-Command = tuple[int, bool, float, float, float, float]
-State = tuple[float, float, float, float, float]
-
-_ROUNDING = 1e-9  # s; sums of steps differ from their product by less
-
-
-def delays(servo: ServoParameters) -> bool:
-    """Return whether there is any delay; if not, this module is not used."""
-    return servo.command_latency > 0.0 or servo.reading_latency > 0.0
-
-
-class Latency:
-    """Commands and readings in transit, in whole steps of the world: a delay ends with the step that reaches it."""
-
-    def __init__(self, servo: ServoParameters) -> None:
-        self._servo = servo
-        self._commands: deque[tuple[float, Command]] = deque()
-        self._states: deque[tuple[float, list[State]]] = deque()
-
-    def command(self, now: float, command: Command) -> None:
-        """Send a command at `now` s."""
-        self._commands.append((now + self._servo.command_latency, command))
-
-    def due(self, now: float) -> Iterator[Command]:
-        """Yield the arrived commands in order."""
-        while self._commands and self._commands[0][0] <= now + _ROUNDING:
-            yield self._commands.popleft()[1]
-
-    def keep(self, now: float, states: list[State]) -> None:
-        """Store the servos' state at `now` s while it may still be read."""
-        latest = now - self._servo.reading_latency + _ROUNDING
-        self._states.append((now, states))
-        while len(self._states) > 1 and self._states[1][0] <= latest:
-            self._states.popleft()
-
-    def state(self, index: int) -> State | None:
-        """Return the reading of servo `index`: its newest state that is old enough; None before the first step."""
-        return self._states[0][1][index] if self._states else None
-
-
 _APART = 0.001  # m of gap that ends a docking; a smaller one is a bounce
 _NOTHING = 1e-9  # s
 AMBIENT_TEMPERATURE = 28.0  # °C
@@ -155,8 +113,8 @@ class World:
         start: of the platform, m, charger_base.
         mechanics: model of the arm's motion.
 
-    Warns:
-        UnprovenWarning: the simulation report has not verified the model for this step and these stiffnesses.
+    Attributes:
+        dt: s of a step, unless `step` is given another.
 
     Raises:
         ValueError: the arm does not reach `start`.
@@ -176,13 +134,12 @@ class World:
         self.mechanics: Motion = mechanics(parameters, self.geometry, start)
         self.circuit = Circuit(parameters.circuit, parameters.port, parameters.stage)
         self.record = Record()
-        self.time = 0.0
+        self.time, self.dt = 0.0, STEP
         self._tactile = tactile
         self._random = random.Random(seed)
         self._enabled = (False, False, False)
         self._reference = self.mechanics.angles
         self._limit = (0.0, 0.0, 0.0)
-        self._late = Latency(parameters.servo) if delays(parameters.servo) else None
         self._jitter: Pose = (0.0, 0.0, 0.0)
         self._docked = False
         self._overlap: Overlap | None = None
@@ -193,8 +150,6 @@ class World:
         self._goals: Vector = (0.0, 0.0, 0.0)
         self._goals_of: Vector | None = None
         self._moving: tuple[float, float, float, float] | None = None  # m/s, m/s, rad/s of the target, remaining s
-        for warning in doubts(parameters):
-            warnings.warn(warning, UnprovenWarning, stacklevel=2)
 
     def command(
         self,
@@ -206,14 +161,6 @@ class World:
         braking: float = 1.0,
     ) -> None:
         """Command servo `index`: torque on, goal angle (rad), current bound (A), gains of its stiffness and damping."""
-        if self._late is not None:
-            self._late.command(self.time, (index, enabled, reference, current_limit, gain, braking))
-            return
-        self._obey(index, enabled, reference, current_limit, gain, braking)
-
-    def _obey(
-        self, index: int, enabled: bool, reference: float, current_limit: float, gain: float, braking: float
-    ) -> None:
         bound = current_limit if math.isfinite(current_limit) else 0.0
         if enabled != self._enabled[index]:
             self._enabled = _with(self._enabled, index, enabled)
@@ -226,20 +173,15 @@ class World:
             self.mechanics.set_gains(_with(known[0], index, gain), _with(known[1], index, braking))
 
     def step(self, dt: float | None = None) -> None:
-        """Advance by `dt` s (default: the parameter `step`)."""
-        dt = self.parameters.step if dt is None else dt
+        """Advance by `dt` s, by default the attribute."""
+        dt = self.dt if dt is None else dt
         mechanics = self.mechanics
-        if self._late is not None:
-            for command in self._late.due(self.time):
-                self._obey(*command)
         moved = self._moving is not None
         if moved:
             self._move(dt)
         x, y = self._offset()
         mechanics.step(dt, self._enabled, self._reference, self._limit, x, y)
         self.time += dt
-        if self._late is not None:
-            self._late.keep(self.time, [self._state(index) for index in range(3)])
         if moved or not mechanics.still:
             self._follow_contact()
         self.circuit.step(dt, self._overlap, mechanics.bars)
@@ -314,21 +256,15 @@ class World:
 
         Angle and current have the resolution of its registers.
         """
-        state = self._state(index) if self._late is None else self._late.state(index) or self._state(index)
-        angle, rate, current, voltage, temperature = state
-        servo = self.parameters.servo
+        mechanics, servo = self.mechanics, self.parameters.servo
+        current = mechanics.torques[index] / servo.torque_constant
+        angle = mechanics.angles[index] + mechanics.slack[index]
         noise = servo.current_noise + servo.current_noise_share * abs(current)
         if not self._enabled[index]:
             current = 0.0
         elif noise > 0.0:
             current += self._random.gauss(0.0, noise)
-        return round(angle / TICK) * TICK, rate, round(current / _CURRENT_UNIT) * _CURRENT_UNIT, voltage, temperature
-
-    def _state(self, index: int) -> tuple[float, float, float, float, float]:
-        """Return the reading of servo `index` without noise and delay."""
-        mechanics = self.mechanics
-        current = mechanics.torques[index] / self.parameters.servo.torque_constant
-        angle = mechanics.angles[index] + mechanics.slack[index]
+        angle, current = round(angle / TICK) * TICK, round(current / _CURRENT_UNIT) * _CURRENT_UNIT
         return angle, mechanics.rates[index], current, mechanics.voltage, self._temperature[index]
 
     def taxels(self) -> tuple[Array, Array]:
@@ -363,7 +299,7 @@ class World:
             pose = self._relative()
             if _differs(pose, self._overlap_pose):
                 self._overlap_pose = pose
-                self._overlap = Overlap(self.parameters.terminal, *pose)
+                self._overlap = Overlap(*pose)
             return
         self._overlap = self._overlap_pose = None
         if self._docked and self.mechanics.gap > _APART:
@@ -445,7 +381,7 @@ class SharedWorld:
     It is the plant of the servo and board emulators, which use only these methods.
 
     Args:
-        world: advanced in steps of its parameter `step`.
+        world: advanced in steps of its `dt`.
         clock: s, monotonic.
     """
 
@@ -457,7 +393,7 @@ class SharedWorld:
 
     def _advance(self) -> World:
         now = self._clock()
-        step = self.world.parameters.step
+        step = self.world.dt
         self._at = max(self._at, now - _CATCH_UP)
         while self._at + step <= now:
             self.world.step(step)

@@ -14,7 +14,6 @@ from deltacharger_core.parameters import Declaration, declaration
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.overrides import problems
 from deltacharger_scenes.scene import Scene, SceneError, contradictions, load_scene, packaged_scenes, servos_apart
-from deltacharger_sim.parameters import doubts
 
 
 def add_scene(parser: argparse.ArgumentParser) -> None:
@@ -62,11 +61,10 @@ def scene(options: argparse.Namespace) -> Result:
 
 
 def _warnings(scene: Scene) -> Iterator[str]:
-    """Yield unvalidated values of a simulated world, and parameters that contradict it or each other."""
+    """Yield parameters that contradict the simulated world or each other."""
     for key, problem in servos_apart(scene.nodes, scene.parameters):
         yield f"{key}: {problem}"
     if scene.simulation is not None:
-        yield from (f"simulation.world: {doubt}" for doubt in doubts(scene.simulation.world))
         for key, problem in contradictions(scene.parameters, scene.simulation.world):
             yield f"{key}: {problem}"
 

@@ -11,7 +11,6 @@ import argparse
 import dataclasses
 import math
 import sys
-import warnings
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
@@ -22,7 +21,7 @@ from deltacharger_core.machine import SERVO_STIFFNESS, TORQUE_CONSTANT
 from deltacharger_kinematics.calibration.servo_fit import WEIGHT_TOLERANCE, ServoTask
 from deltacharger_kinematics.calibration.servo_procedure import measure_servos
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
-from deltacharger_sim.parameters import ServoParameters, TargetParameters, UnprovenWarning, WorldParameters
+from deltacharger_sim.parameters import ServoParameters, TargetParameters, WorldParameters
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "test"))
 from virtual_arm import VirtualArm
@@ -91,9 +90,7 @@ def virtual(arm: DrawnArm) -> VirtualArm:
 
 
 def measured(arm: DrawnArm) -> Found:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UnprovenWarning)
-        body = virtual(arm)
+    body = virtual(arm)
     found = measure_servos(body, ServoTask(seed=arm.seed))
     fit, true = found.fit, (np.array(arm.stiffness), arm.constant, arm.friction)
     values = (fit.stiffness, fit.torque_constant, fit.friction)

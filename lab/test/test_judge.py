@@ -12,10 +12,9 @@ import pytest
 
 from deltacharger_lab.campaigns.judge import LAWS, WorldJudge, broken, lies_wrong, nothing
 from deltacharger_sim.circuit import Overlap
-from deltacharger_sim.parameters import TargetParameters, TerminalParameters, WorldParameters
+from deltacharger_sim.parameters import TargetParameters, WorldParameters
 from deltacharger_sim.world import World
 
-BARS = TerminalParameters()
 LEVEL = (0.0, 0.0, 0.0)
 GOOD: dict[str, Any] = nothing() | {
     "code_name": "NONE",
@@ -47,9 +46,8 @@ def world(
     """Return a hand-made world."""
     mechanics = SimpleNamespace(position=place, contact_force=60.0 if touches else 0.0, gap=gap)
     circuit = SimpleNamespace(closed=closed, current=current)
-    parameters = SimpleNamespace(terminal=BARS)
     pose = pose if touches else None
-    return SimpleNamespace(mechanics=mechanics, circuit=circuit, misalignment=pose, time=time, parameters=parameters)
+    return SimpleNamespace(mechanics=mechanics, circuit=circuit, misalignment=pose, time=time)
 
 
 def judged(*worlds: Any, excuses: list[tuple[float, float]] | None = None) -> dict[str, float]:
@@ -73,7 +71,7 @@ def judged(*worlds: Any, excuses: list[tuple[float, float]] | None = None) -> di
     ],
 )
 def test_bars_lie_wrong_where_the_terminal_says(pose: tuple[float, float, float], wrong: bool) -> None:
-    assert lies_wrong(BARS, pose)[0] is wrong
+    assert lies_wrong(pose)[0] is wrong
 
 
 def test_polygons_agree_with_the_simulations() -> None:
@@ -81,8 +79,8 @@ def test_polygons_agree_with_the_simulations() -> None:
     found = set()
     for _ in range(800):
         pose = source.uniform(-0.03, 0.03), source.uniform(-0.012, 0.012), source.uniform(-0.3, 0.3)
-        lies = Overlap(BARS, *pose)
-        wrong, short = lies_wrong(BARS, pose)
+        lies = Overlap(*pose)
+        wrong, short = lies_wrong(pose)
         assert wrong is (lies.clearance < 0.0)
         assert short is lies.short
         found.add((wrong, short))

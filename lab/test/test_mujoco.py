@@ -136,7 +136,6 @@ def test_both_agree_in_fast_motion(pair: Any) -> None:
     ("parameters", "key"),
     [
         ({"servo": plain_servo(backlash=0.01)}, "servo.backlash"),
-        ({"servo": plain_servo(stall_sag=0.5)}, "servo.stall_sag"),
         ({"servo": plain_servo(friction_share=0.1)}, "servo.friction_share"),
         ({"cable": CableParameters(stiffness=10.0)}, "cable.stiffness"),
         ({"cable": CableParameters(drag=1.0)}, "cable.drag"),
@@ -168,7 +167,7 @@ def leaning(
 ) -> WorldParameters:
     """Angles in degrees; the platform tilts about its own face, where friction has no lever."""
     return WorldParameters(
-        contact=ContactParameters(stiffness=stiffness, hard_stop_stiffness=max(1e6, 2.0 * stiffness)),
+        contact=ContactParameters(stiffness=stiffness),
         platform=PlatformParameters(compliance=compliance, lever=0.0),
         target=TargetParameters(roll=math.radians(roll), tilt_x=math.radians(pitch), tilt_y=math.radians(yaw)),
         **changes,

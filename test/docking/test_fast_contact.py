@@ -57,7 +57,7 @@ def test_the_search_ends_within_the_servos_reaction_after_touch(servo: float, co
     run = charger(
         parameters=parameters,
         servo=ServoParameters(stiffness=servo),
-        contact=ContactParameters(stiffness=contact, hard_stop=0.002),
+        contact=ContactParameters(stiffness=contact),
     )
     sent = commands(run)
     run.begin(DockGoal(GOAL))

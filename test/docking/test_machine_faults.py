@@ -74,9 +74,10 @@ class Faulty(VirtualCharger):
 
     def __init__(self, off: float = 0.010, nearer: float = 0.0, **parameters: object) -> None:
         target = TargetParameters(x=off, y=off, z=0.080 - nearer, roll=0.03)
-        world = WorldParameters(target=target, step=0.01)
+        world = WorldParameters(target=target)
         self.found = replace(GOAL, position=(off, off, GOAL.position[2]))
         super().__init__(world, DockingParameters(**{**quick.STEPS, **parameters}), 1)
+        self.world.dt = 0.01
         self.silent = self.frozen = ""
         self.since = 0.0
         self.shown: Mapping[str, Any] = MappingProxyType({})

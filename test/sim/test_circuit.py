@@ -8,16 +8,15 @@ from typing import Any
 
 import pytest
 
-from deltacharger_core.machine import BATTERY_MAX, BATTERY_MIN, Port, port_of
+from deltacharger_core.machine import BAR_LENGTH, BATTERY_MAX, BATTERY_MIN, Port, port_of
 from deltacharger_driver.emulators.power import Outputs, PortParameters, StageParameters
 from deltacharger_sim.circuit import Circuit, Overlap
-from deltacharger_sim.parameters import CircuitParameters, TerminalParameters
+from deltacharger_sim.parameters import CircuitParameters
 from deltacharger_sim.touch import Bars
 
-TERMINAL = TerminalParameters()
-FULL = Overlap(TERMINAL, 0.0, 0.0, 0.0)
-HALF = Overlap(TERMINAL, 0.5 * TERMINAL.length, 0.0, 0.0)
-BRIDGED = Overlap(TERMINAL, 0.0, 0.0, math.radians(14.0))
+FULL = Overlap(0.0, 0.0, 0.0)
+HALF = Overlap(0.5 * BAR_LENGTH, 0.0, 0.0)
+BRIDGED = Overlap(0.0, 0.0, math.radians(14.0))
 PRESSED = Bars.flat(77.0)
 LIFTED = Bars(0.0, 77.0, 0.0, 1.0)
 
@@ -47,7 +46,7 @@ def charging(current: float = 10.0, voltage: float = 29.4, **changes: Any) -> Ci
 
 
 def test_the_output_follows_the_target_after_the_pre_charge_and_the_contacts_their_coil() -> None:
-    circuit = make(precharge_time=0.1)
+    circuit = make()
     circuit.drive(Outputs(precharge=True, voltage=29.4))
     assert run(circuit, 0.09).read_power().output == 0.0
     assert run(circuit, 0.02).read_power().output == pytest.approx(24.0)
@@ -64,7 +63,7 @@ def test_worse_contact_means_less_current_at_constant_voltage() -> None:
     good = circuit.current
     assert 0.5 < good < 10.0
     assert circuit.read_power().target == pytest.approx(29.4)
-    run(circuit, 0.1, Overlap(TERMINAL, 0.993 * TERMINAL.length, 0.0, 0.0))
+    run(circuit, 0.1, Overlap(0.993 * BAR_LENGTH, 0.0, 0.0))
     assert circuit.current < 0.8 * good
 
 
@@ -142,7 +141,7 @@ def test_a_welded_contactor_stays_closed_and_what_flows_flows_on() -> None:
 
 
 def test_the_battery_gives_the_power_of_the_output_and_sags() -> None:
-    circuit = charging(battery_voltage=26.0, battery_resistance=0.13)
+    circuit = charging(battery_voltage=26.0)
     power = 10.0 * circuit.read_power().target / 0.93
     assert circuit.read_power().battery == pytest.approx(26.0 - 0.13 * power / 26.0)
 
@@ -182,15 +181,16 @@ def test_heat_is_reported_of_the_bar_with_the_larger_resistance() -> None:
 
 @pytest.mark.parametrize(("target", "drives"), [(24.0, 2.0), (26.0, 0.0), (29.0, -3.0), (-24.0, 50.0)])
 def test_current_of_wired_electrodes_follows_both_batteries_in_either_direction(target: float, drives: float) -> None:
-    circuit = make(wired=True, port={"voltage": target}, battery_resistance=0.13, contact_resistance=0.0)
-    assert circuit.current == pytest.approx(drives / 0.28)
+    circuit = make(wired=True, port={"voltage": target})
+    loop = 0.13 + 0.01 * math.sqrt(80.0 / 77.0) + 0.15
+    assert circuit.current == pytest.approx(drives / loop)
     run(circuit, 0.02, None)
     assert circuit.current == 0.0
-    assert circuit.broken_current == pytest.approx(abs(drives) / 0.28)
+    assert circuit.broken_current == pytest.approx(abs(drives) / loop)
 
 
 def test_wired_electrodes_have_no_measurement_and_no_opening() -> None:
-    circuit = make(wired=True, battery_voltage=26.0, battery_resistance=0.13)
+    circuit = make(wired=True, battery_voltage=26.0)
     circuit.drive(Outputs(True, True, 10.0, 29.4))
     run(circuit, 1.0, BRIDGED)
     circuit.drive(Outputs())

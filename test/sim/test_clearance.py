@@ -10,13 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from deltacharger_core.machine import BAR_GAP, BAR_HEIGHT, BAR_LENGTH
 from deltacharger_docking import clearance
 from deltacharger_sim.circuit import Overlap
-from deltacharger_sim.parameters import TerminalParameters
 
-TERMINAL = TerminalParameters()
-FULL = 2.0 * TERMINAL.length * TERMINAL.height
-HALF_GAP, HALF_LENGTH = 0.5 * TERMINAL.gap, 0.5 * TERMINAL.length
+FULL = 2.0 * BAR_LENGTH * BAR_HEIGHT
+HALF_GAP, HALF_LENGTH = 0.5 * BAR_GAP, 0.5 * BAR_LENGTH
 PITCH = 2e-4
 
 shift = st.floats(-0.02, 0.02)
@@ -28,12 +27,12 @@ def formula(angle: float, y: float) -> float:
 
 
 def in_bar(x: np.ndarray, y: np.ndarray, side: int) -> np.ndarray:
-    return (np.abs(x) <= HALF_LENGTH) & (side * y >= HALF_GAP) & (side * y <= HALF_GAP + TERMINAL.height)
+    return (np.abs(x) <= HALF_LENGTH) & (side * y >= HALF_GAP) & (side * y <= HALF_GAP + BAR_HEIGHT)
 
 
 def sampled(x: float, y: float, angle: float) -> np.ndarray:
     """Overlap areas (m²) [our bar, their bar] by counting grid points on our terminal."""
-    half_x, half_y = HALF_LENGTH, HALF_GAP + TERMINAL.height
+    half_x, half_y = HALF_LENGTH, HALF_GAP + BAR_HEIGHT
     px, py = np.meshgrid(
         np.arange(-half_x + PITCH / 2, half_x, PITCH), np.arange(-half_y + PITCH / 2, half_y, PITCH), indexing="ij"
     )
@@ -47,8 +46,8 @@ def sampled(x: float, y: float, angle: float) -> np.ndarray:
 @settings(max_examples=40)
 @given(shift, shift, angle)
 def test_area_and_shorts_agree_with_brute_force(x: float, y: float, angle: float) -> None:
-    lies, counted = Overlap(TERMINAL, x, y, angle), sampled(x, y, angle)
-    row = TERMINAL.length * PITCH  # the grid's error is up to a row of points along each bar
+    lies, counted = Overlap(x, y, angle), sampled(x, y, angle)
+    row = BAR_LENGTH * PITCH  # the grid's error is up to a row of points along each bar
     assert lies.area == pytest.approx(counted[0, 0] + counted[1, 1], abs=2.0 * row)
     assert lies.fraction == pytest.approx(lies.area / FULL)
     wrong = counted[0, 1] + counted[1, 0]
@@ -66,14 +65,14 @@ def test_area_and_shorts_agree_with_brute_force(x: float, y: float, angle: float
 @settings(max_examples=80)
 @given(shift, shift, angle)
 def test_the_decision_formula_never_overestimates_clearance(x: float, y: float, angle: float) -> None:
-    assert Overlap(TERMINAL, x, y, angle).clearance >= formula(angle, y) - 1e-12
+    assert Overlap(x, y, angle).clearance >= formula(angle, y) - 1e-12
 
 
 @pytest.mark.parametrize("y_mm", [0.0, -6.0, -2.5, 1.0, 5.0])
 @pytest.mark.parametrize("degrees", [0.0, 3.0, -7.0, 11.9, 12.2, -16.0])
 def test_formula_and_geometry_differ_by_the_cosine_of_a_vertical_error_only(y_mm: float, degrees: float) -> None:
     turn, y = math.radians(degrees), 1e-3 * y_mm
-    difference = Overlap(TERMINAL, 0.0, y, turn).clearance - formula(turn, y)
+    difference = Overlap(0.0, y, turn).clearance - formula(turn, y)
     assert -1e-12 <= difference <= abs(y) * (1.0 - math.cos(turn)) + 1e-9
 
 
@@ -84,8 +83,7 @@ def test_the_critical_angle_is_12_07_degrees_when_centred_and_lower_with_a_verti
     for side in (1.0, -1.0):
         for turn in (1.0, -1.0):
             below, above = (
-                Overlap(TERMINAL, 0.0, side * 1e-3 * y_mm, turn * math.radians(critical + sign * margin))
-                for sign in (-1.0, 1.0)
+                Overlap(0.0, side * 1e-3 * y_mm, turn * math.radians(critical + sign * margin)) for sign in (-1.0, 1.0)
             )
             assert below.clearance > 0.0
             assert not below.short
@@ -96,15 +94,15 @@ def test_the_critical_angle_is_12_07_degrees_when_centred_and_lower_with_a_verti
 @pytest.mark.parametrize(
     ("x", "y", "angle", "fraction", "clearance"),
     [
-        (0.0, 0.0, 0.0, 1.0, TERMINAL.gap),
-        (HALF_LENGTH, 0.0, 0.0, 0.5, TERMINAL.gap),
+        (0.0, 0.0, 0.0, 1.0, BAR_GAP),
+        (HALF_LENGTH, 0.0, 0.0, 0.5, BAR_GAP),
         (0.2, 0.0, 0.1, 0.0, None),
         # One bar off: each bar touches one bar of the other side, the wrong one, without a short.
-        *((0.0, side * (TERMINAL.gap + TERMINAL.height), 0.0, 0.0, -TERMINAL.height) for side in (1.0, -1.0)),
+        *((0.0, side * (BAR_GAP + BAR_HEIGHT), 0.0, 0.0, -BAR_HEIGHT) for side in (1.0, -1.0)),
     ],
 )
 def test_terminals_at_known_offsets(x: float, y: float, angle: float, fraction: float, clearance: float | None) -> None:
-    lies = Overlap(TERMINAL, x, y, angle)
+    lies = Overlap(x, y, angle)
     assert lies.fraction == pytest.approx(fraction, abs=1e-12)
     assert not lies.short
     assert clearance is None or lies.clearance == pytest.approx(clearance, abs=1e-3)

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from deltacharger_core.machine import TORQUE_CONSTANT
+from deltacharger_core.machine import STALL_TORQUE, TORQUE_CONSTANT
 from deltacharger_kinematics.geometry import DeltaGeometry, LimbAdjustment, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_sim.mechanics import Linkage
@@ -101,16 +101,14 @@ class TestStatics:
 
 
 class TestLimits:
-    @pytest.mark.parametrize(("bound", "stall"), [(0.0, 6.0), (0.3, 6.0), (100.0, 1.0)])
-    def test_no_servo_exceeds_its_current_bound_or_its_stall_torque(
-        self, arm: ArmFactory, bound: float, stall: float
-    ) -> None:
-        bounded = arm(WorldParameters(servo=plain_servo(stall_torque=stall)))
+    @pytest.mark.parametrize("bound", [0.0, 0.3, 100.0])
+    def test_no_servo_exceeds_its_current_bound_or_its_stall_torque(self, arm: ArmFactory, bound: float) -> None:
+        bounded = arm(WorldParameters(servo=plain_servo(stiffness=40.0)))
         bounded.go((0.0, 0.0, 0.06))
         bounded.aim((0.0, 0.0, 0.105), bound)
         for _ in range(200):
             bounded.world.step()
-            assert max(map(abs, bounded.world.mechanics.torques)) <= min(bound * TORQUE_CONSTANT, stall) + 1e-12
+            assert max(map(abs, bounded.world.mechanics.torques)) <= min(bound * TORQUE_CONSTANT, STALL_TORQUE) + 1e-12
 
     @pytest.mark.parametrize("step", [0.001, 0.01, 0.05, 0.1])
     def test_the_state_stays_finite_balanced_and_between_the_stops_for_any_command(
@@ -317,40 +315,22 @@ class TestParts:
     @pytest.mark.parametrize(
         "nearly",
         [
-            {"servo": plain_servo(stall_sag=1.0, supply_resistance=0.0)},
-            {"servo": plain_servo(command_latency=1e-12)},
-            {"servo": plain_servo(reading_latency=0.02)},
             {"platform": PlatformParameters(lever=0.1)},
             {"platform": PlatformParameters(compliance=1e-12)},
             {"servo": plain_servo(backlash=1e-12)},
-            # More than twelve volts adds no torque unless configured.
-            {"servo": plain_servo(supply_voltage=12.0, stall_sag=0.0, supply_resistance=0.9)},
+            {"servo": plain_servo(supply_resistance=0.7)},
         ],
-        ids=["sag", "late commands", "old readings", "lever", "compliance", "play", "supply"],
+        ids=["lever", "compliance", "play", "supply"],
     )
     def test_an_almost_disabled_part_has_almost_no_effect(self, arm: ArmFactory, nearly: Any) -> None:
         assert apart(course(arm()), course(arm(WorldParameters(**{"servo": plain_servo()} | nearly)))) < 2e-8
 
     def test_disabled_parts_are_not_created(self) -> None:
         world = World(WorldParameters(platform=PlatformParameters(lever=0.1)))
-        assert world._late is None
         assert world.mechanics._touch.tilt is None  # type: ignore[attr-defined]
         world.step()
         assert world.mechanics.tilt == (0.0, 0.0)
         assert world.mechanics.lean is None
-
-    def test_a_sagging_supply_reduces_stall_torque(self, arm: ArmFactory) -> None:
-        # Torque = stall · voltage/12 with voltage = 12 − R · 3 torque/Kt, solved by hand.
-        sagged = 6.0 / (1.0 + 6.0 * 0.5 * 3.0 / (12.0 * 6.0 / 4.1))
-        for sag, expected in ((0.0, 6.0), (1.0, sagged)):
-            servo = plain_servo(supply_resistance=0.5, stall_sag=sag)
-            pushing = arm(WorldParameters(servo=servo, contact=ContactParameters(stiffness=1e9)))
-            pushing.go((0.0, 0.0, 0.07))
-            for index in range(3):
-                pushing.world.command(index, True, 1.2, 100.0)
-            pushing.run(1.0)
-            assert max(pushing.world.mechanics.torques) == pytest.approx(expected, rel=0.02)
-        assert pushing.world.mechanics.voltage == pytest.approx(12.0 * sagged / 6.0, rel=0.02)
 
 
 ADJUSTED = DeltaGeometry(

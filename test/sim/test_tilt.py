@@ -33,7 +33,7 @@ def tilting(
 ) -> PlatformTilt:
     tilt = PlatformTilt(
         WorldParameters(
-            contact=ContactParameters(stiffness=stiffness, hard_stop_stiffness=max(1e6, min(1e9, 2.0 * stiffness))),
+            contact=ContactParameters(stiffness=stiffness),
             platform=PlatformParameters(compliance=compliance),
             target=TargetParameters(**target),
         )

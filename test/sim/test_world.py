@@ -313,7 +313,7 @@ def settled(arm: Any, *gains: float) -> Any:
 
 
 class TestGains:
-    @pytest.mark.parametrize("servo", [{}, {"backlash": 0.008}, {"command_latency": 0.02}], ids=str)
+    @pytest.mark.parametrize("servo", [{}, {"backlash": 0.008}], ids=str)
     def test_an_equal_gain_of_all_servos_equals_another_stiffness(
         self, arm: ArmFactory, servo: dict[str, float]
     ) -> None:
@@ -344,41 +344,3 @@ class TestGains:
         assert mechanics.gains == mechanics.brakes == (1.0, 2.0, 3.0)
         bus.servo(3).reboot(0.0)
         assert (mechanics.gains[2], mechanics.brakes[2]) == (pytest.approx(850 / POSITION_P_GAIN), 0.0)
-
-
-def turning(arm: ArmFactory, count: int, **servo: float) -> tuple[World, list[tuple[float, ...]]]:
-    """Return a world whose servo 0 was commanded to turn by 0.3 rad, and its states in the steps since then."""
-    moving = arm(WorldParameters(servo=plain_servo(current_noise=0.0, **servo)))
-    moving.run(0.5)
-    world, mechanics = moving.world, moving.world.mechanics
-    for index in range(3):
-        world.command(index, True, mechanics.angles[index], 4.1)
-    moving.run(0.5)
-    world.command(0, True, mechanics.angles[0] + 0.3, 4.1)
-    states = []
-    for _ in range(count):
-        states.append((mechanics.angles[0], mechanics.rates[0], mechanics.torques[0] / (6.0 / 4.1)))
-        world.step(0.005)
-    return world, states
-
-
-class TestLatency:
-    @pytest.mark.parametrize("late", [1, 20])
-    def test_a_command_acts_after_its_latency_as_without_latency(self, arm: ArmFactory, late: int) -> None:
-        prompt, slow = (turning(arm, 100, **servo)[1] for servo in ({}, {"command_latency": 0.005 * late}))
-        assert max(abs(state[0] - prompt[0][0]) for state in slow[: late + 1]) < 1e-6
-        assert [state[0] for state in prompt[:-late]] == pytest.approx([state[0] for state in slow[late:]], abs=1e-6)
-
-    @pytest.mark.parametrize("old", [1, 20])
-    def test_a_reading_has_its_latency(self, arm: ArmFactory, old: int) -> None:
-        world, states = turning(arm, 60, reading_latency=0.005 * old)
-        off = np.abs(np.subtract(world.servo(0)[:3], states[-old]))
-        assert np.all(off <= (0.5001 * TICK, 1e-12, 0.5001 * MX_64.current_unit))
-
-    def test_the_order_of_commands_is_kept(self, arm: ArmFactory) -> None:
-        world, _ = turning(arm, 0, command_latency=0.02)
-        world.command(0, False, 0.0, 0.0)
-        world.command(0, True, 0.1, 2.0)
-        for _ in range(10):
-            world.step(0.005)
-        assert (world._enabled[0], world._reference[0]) == (True, 0.1)

@@ -8,6 +8,7 @@ import random
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+from deltacharger_core.machine import BAR_GAP, BAR_LENGTH
 from deltacharger_core.parameters import ParameterError
 from deltacharger_docking.observation import ElectrodePose
 from deltacharger_docking.parameters import DockingParameters, TargetProfile
@@ -26,7 +27,7 @@ from deltacharger_lab.campaigns.parts import (
 )
 from deltacharger_lab.campaigns.scene import CampaignScene
 from deltacharger_lab.second.parameters import SecondParameters
-from deltacharger_sim.parameters import TerminalParameters, WorldParameters
+from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.virtual.targets import CASES, TargetCase
 from deltacharger_sim.virtual.virtual_charger import PROFILE
 from deltacharger_tactile.parameters import TactileParameters
@@ -206,9 +207,7 @@ def _derived(
         found |= {"gravity.tilt": math.atan2(math.hypot(x, z), -y), "gravity.azimuth": math.atan2(x, z)}
     if "shift.beyond_zero" in values:
         offset = goal.position[1] - float(values.get("target.y", 0.0)) - float(values.get("shift.y", 0.0))
-        gap = 0.5 * float(values.get("world.terminal.gap", TerminalParameters().gap))
-        half = 0.5 * float(values.get("world.terminal.length", TerminalParameters().length))
-        size = max(zero_angle(offset, gap, half) + float(values["shift.beyond_zero"]), 0.0)
+        size = max(zero_angle(offset, 0.5 * BAR_GAP, 0.5 * BAR_LENGTH) + float(values["shift.beyond_zero"]), 0.0)
         side = source("shift.beyond_zero side").choice((-1.0, 1.0))
         found["shift.roll"] = side * size - float(values.get("target.roll", 0.0))
     return found

@@ -10,9 +10,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from deltacharger_core.machine import BAR_GAP, BAR_HEIGHT, BAR_LENGTH
 from deltacharger_sim.mechanics import Mechanics
 from deltacharger_sim.pads import Pose
-from deltacharger_sim.parameters import TerminalParameters
 from deltacharger_sim.world import World
 
 _BOX = ((-0.060, 0.060), (-0.060, 0.060), (0.0, 0.110))  # m, the published workspace in charger_base
@@ -124,7 +124,7 @@ class WorldJudge:
             found["live_apart"] += 0.0 if excused else dt
             return
         if self._lies is None or self._lies[0] != pose:
-            self._lies = pose, *lies_wrong(world.parameters.terminal, pose)
+            self._lies = pose, *lies_wrong(pose)
         _, wrong, short = self._lies
         found["live_unsafe_all"] += dt if wrong else 0.0
         if not excused:
@@ -151,26 +151,25 @@ def _is_same(one: Pose | None, two: Pose | None) -> bool:
     return math.hypot(one[0] - two[0], one[1] - two[1]) <= _MOVED and abs(one[2] - two[2]) <= _TURNED
 
 
-def lies_wrong(terminal: TerminalParameters, pose: Pose) -> tuple[bool, bool]:
+def lies_wrong(pose: Pose) -> tuple[bool, bool]:
     """Return whether a bar of the charger lies on a wrong bar of the target, and whether one joins both of them.
 
     Args:
-        terminal: size of the bars, equal on both sides.
         pose: x (m), y (m) and angle (rad) of the target in end_effector.
     """
     x, y, angle = pose
-    away = 0.5 * (terminal.gap + terminal.height)
-    ours = {side: _bar(terminal, 0.0, 0.0, 0.0, side * away) for side in (1, -1)}
-    theirs = {side: _bar(terminal, x, y, angle, side * away) for side in (1, -1)}
+    away = 0.5 * (BAR_GAP + BAR_HEIGHT)
+    ours = {side: _bar(0.0, 0.0, 0.0, side * away) for side in (1, -1)}
+    theirs = {side: _bar(x, y, angle, side * away) for side in (1, -1)}
     on = {(a, b): overlap(ours[a], theirs[b]) for a in ours for b in theirs}
     wrong = on[1, -1] or on[-1, 1]
     joins = any(on[side, 1] and on[side, -1] for side in ours) or any(on[1, side] and on[-1, side] for side in theirs)
     return wrong, joins
 
 
-def _bar(terminal: TerminalParameters, x: float, y: float, angle: float, off: float) -> Corners:
+def _bar(x: float, y: float, angle: float, off: float) -> Corners:
     """Return the corners of a bar `off` m across the middle of a terminal at x, y (m), turned."""
-    half, high = 0.5 * terminal.length, 0.5 * terminal.height
+    half, high = 0.5 * BAR_LENGTH, 0.5 * BAR_HEIGHT
     cosine, sine = math.cos(angle), math.sin(angle)
     corners = ((-half, off - high), (half, off - high), (half, off + high), (-half, off + high))
     return [(x + cosine * u - sine * v, y + sine * u + cosine * v) for u, v in corners]

@@ -161,7 +161,6 @@ TAKEN = {
         for axis in (*"xyz", "roll")
     },
     **{f"world.gravity_{axis}": "give gravity.tilt and gravity.azimuth" for axis in "xyz"},
-    "world.step": "a campaign steps the world itself",
     "docking.servo_stiffness": "it follows world.servo.stiffness; for a wrong value give assumed.servo_stiffness",
     "docking.torque_constant": "it follows world.servo.torque_constant; for a wrong value give assumed.torque_constant",
     "docking.gravity": "give gravity.tilt and gravity.known, or assumed.gravity_tilt",

@@ -212,7 +212,6 @@ def _read_dockings(entries: Any, spreads: Mapping[str, Spread]) -> tuple[Mapping
 
 def _check_contradictions(scene: CampaignScene) -> None:
     """Refuse keys without effect or in contradiction."""
-    _without_effect(scene, "world.magnets.force", ("world.magnets.range", "world.magnets.width", "world.magnets.floor"))
     if "gravity.anywhere" not in scene.drawn():
         _without_effect(scene, "gravity.tilt", ("gravity.azimuth", "gravity.known"), unset=True)
     for name, made in DERIVED.items():

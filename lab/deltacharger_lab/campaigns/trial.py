@@ -124,7 +124,7 @@ class FaultyWorld(World):
 
     def step(self, dt: float | None = None) -> None:
         """Advance by `dt` s in steps fine enough for the faults."""
-        left = self.parameters.step if dt is None else dt
+        left = self.dt if dt is None else dt
         while left > 1e-9:
             now = min(left, _FINEST) if self._trial.has("target") else left
             left -= now

@@ -118,13 +118,13 @@ def _vision(options: argparse.Namespace) -> Result:
 
 def _simulation(options: argparse.Namespace) -> Result:
     """Write the report of the simulated charger's mechanics into a folder."""
-    from deltacharger_lab.reports.simulation import models, report, scenes
+    from deltacharger_lab.reports.simulation import report, scenes
 
     plan = scenes.QUICK if options.quick else scenes.SimulationPlan()
     _print_absent(scenes.absent())
     directory = folder_to_write("--out", options.out)
     results = report.build(plan, directory, _command(options), log_line)
-    return _end(options, results, directory, ("models", "quick"), also=(models.MODULE,))
+    return _end(options, results, directory, ("models", "quick"))
 
 
 def _docking(options: argparse.Namespace) -> Result:

@@ -28,6 +28,7 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
+from deltacharger_core.machine import BAR_GAP, BAR_HEIGHT, BAR_LENGTH
 from deltacharger_core.parameters import ParameterError
 from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry, Vector
 from deltacharger_kinematics.passive_joints import rod_angles
@@ -98,7 +99,6 @@ def refuse(parameters: WorldParameters) -> None:
     """
     without = (
         ("servo.backlash", parameters.servo.backlash, "play"),
-        ("servo.stall_sag", parameters.servo.stall_sag, "loss of stall torque"),
         ("servo.friction_share", parameters.servo.friction_share, "friction by load"),
         ("cable.stiffness", parameters.cable.stiffness, "cable"),
         ("cable.drag", parameters.cable.drag, "cable"),
@@ -281,8 +281,7 @@ def hinges(parameters: WorldParameters) -> str:
 
 def places(parameters: WorldParameters, x: float, y: float) -> list[tuple[float, float, float]]:
     """Return every point's position in the face (m) with the target's centre at (x, y) in end_effector, m."""
-    terminal = parameters.terminal
-    half, up = 0.5 * max(terminal.length - abs(x), 0.0), 0.5 * (terminal.gap + terminal.height)
+    half, up = 0.5 * max(BAR_LENGTH - abs(x), 0.0), 0.5 * (BAR_GAP + BAR_HEIGHT)
     front = parameters.platform.lever - _POINT_RADIUS
     back = front - parameters.contact.hard_stop
     return [

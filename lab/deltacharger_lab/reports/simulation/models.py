@@ -6,7 +6,6 @@ from __future__ import annotations
 import itertools
 import math
 import time
-import warnings
 from typing import Any
 
 from deltacharger_lab.reports.simulation.scenes import (
@@ -23,7 +22,7 @@ from deltacharger_lab.reports.simulation.scenes import (
     was_reset,
     world,
 )
-from deltacharger_sim.parameters import TargetParameters, UnprovenWarning, WorldParameters
+from deltacharger_sim.parameters import TargetParameters, WorldParameters
 
 _MOST_RUNS = 200  # of one timing
 WITH_FRICTION = world()
@@ -106,16 +105,15 @@ def complete_docking(name: str, step: float, number: int) -> dict[str, Any]:
     from deltacharger_sim.virtual.virtual_charger import VirtualCharger
     from deltacharger_sim.world import SharedWorld
 
-    parameters = WorldParameters(servo=COMPARED, target=TARGETS[number], step=step)
+    parameters = WorldParameters(servo=COMPARED, target=TARGETS[number])
     tactile = ContactSource(None, 900, number)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UnprovenWarning)  # the effect of long steps is measured here
-        charger = VirtualCharger(parameters, seed=number, tactile=tactile)
+    charger = VirtualCharger(parameters, seed=number, tactile=tactile)
     if name != LIGHT:
         from deltacharger_lab.mujoco.world import mujoco_world
 
         charger.world = mujoco_world(parameters, tactile, number, step=min(step, 1e-3), integrator=name.split()[-1])
         charger.plant = SharedWorld(charger.world, clock=lambda: charger.now)
+    charger.world.dt = step
     try:
         outcome = charger.dock()
     except TimeoutError as error:
@@ -146,7 +144,6 @@ def docking_cases(plan: SimulationPlan, names: tuple[str, ...]) -> list[tuple[st
 DIVERGED, FORCE_OFF, PATH_OFF, PEAK_OFF, PROVEN = "d", "f", "p", "s", "+"
 FORCE_LIMIT, PATH_LIMIT, PEAK_LIMIT = 0.5, 0.3, 15.0  # %, mm rms and %: largest errors of a proven point
 REST = 1e-4  # m/s, largest speed of a world at rest
-MODULE = "stability_map.py"
 
 
 def column(

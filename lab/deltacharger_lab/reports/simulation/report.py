@@ -12,7 +12,7 @@ from deltacharger_core.machine import SERVO_STIFFNESS
 from deltacharger_lab.plotting import Axes, note, picture
 from deltacharger_lab.reports.formats import fixed, tens
 from deltacharger_lab.reports.pool import ReportTask, joined, work
-from deltacharger_lab.reports.report import Progress, Report, at_least, at_most, none, rendered
+from deltacharger_lab.reports.report import Progress, Report, at_least, at_most, none
 from deltacharger_lab.reports.simulation import impact, lean, models
 from deltacharger_lab.reports.simulation.impact import worst
 from deltacharger_lab.reports.simulation.models import DIVERGED, FORCE_LIMIT, PEAK_LIMIT
@@ -173,9 +173,6 @@ def build(plan: SimulationPlan, directory: Path, command: str, progress: Progres
     progress("pictures")
     report.draw(PICTURES, directory, traces=traces)
     results["targets"] = targets(results)
-    light = [point for point in results["map"] if point["model"] == LIGHT]
-    shown = {"command": command, "plan": plan, "stability": models, "rows": models.cells(light, plan)}
-    (directory / models.MODULE).write_text(rendered(f"{models.MODULE}.j2", shown), "utf-8")
     return report.write(directory, is_calm=is_calm, settled=settled, ends=ends, stability=models, impact=impact)
 
 
