@@ -4,16 +4,21 @@
 from __future__ import annotations
 
 import math
-import random
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 from deltacharger_core import environment
 from deltacharger_core.machine import BAR_GAP, BAR_HEIGHT, BAR_LENGTH, LIVE_VOLTAGE
 from deltacharger_core.yaml_file import read_yaml
-from deltacharger_driver.emulators.power import Outputs, PortParameters, StageParameters, StageReading, TargetPort
+from deltacharger_driver.emulators.power import (
+    BATTERY_RESISTANCE,
+    Outputs,
+    PortParameters,
+    StageParameters,
+    StageReading,
+    TargetPort,
+)
 from deltacharger_sim.parameters import CircuitParameters
 from deltacharger_sim.touch import Bars
 
@@ -234,7 +239,7 @@ class Circuit:
             return parameters.battery_voltage / parameters.battery_resistance
         if math.isinf(self._resistance) or not port.accepts:
             return 0.0
-        loop = parameters.battery_resistance + self._resistance + port.resistance
+        loop = parameters.battery_resistance + self._resistance + BATTERY_RESISTANCE
         return (parameters.battery_voltage - self.port.voltage) / loop
 
     def read_power(self) -> StageReading:
@@ -309,65 +314,11 @@ class Circuit:
         return 0.5 * (self._parameters.contact_resistance / spots)
 
 
-Values = Mapping[str, Any]
-
-LITHIUM_7S: Values = {"empty_voltage": 19.0, "full_voltage": 29.4, "current": 10.0, "end_current": 0.5}
-FULL, UNTOUCHED, ENDED = "full", "untouched", "ended"
-_FILLING: Values = {"voltage": [22.0, 27.0], "capacity": [150.0, 250.0], "resistance": [0.1, 0.2]}
+TARGET_KINDS: Mapping[str, Mapping[str, Any]] = read_yaml(environment.config("target_kinds.yaml")[0])
+"""Kinds of charging ports, by name, in the order of docs/targets.md."""
 
 
-@dataclass(frozen=True)
-class TargetRow:
-    """One kind.
-
-    Attributes:
-        text: what is seen.
-        port, stage, circuit, profile: values that differ from the usual ones; a pair is a range.
-        ends: the endings that are right.
-        codes: names of docking's codes of the endings that are not full.
-    """
-
-    text: str
-    port: Values = field(default_factory=dict)
-    stage: Values = field(default_factory=dict)
-    circuit: Values = field(default_factory=dict)
-    profile: Values = field(default_factory=dict)
-    ends: tuple[str, ...] = (FULL,)
-    codes: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class DrawnTarget:
-    """One target drawn from a row: values of `CircuitParameters` and of docking's `TargetProfile` as mappings."""
-
-    port: PortParameters
-    stage: StageParameters
-    circuit: Values
-    profile: Values
-
-    @property
-    def full(self) -> float:
-        """V of the battery itself when the profile calls it full."""
-        return float(self.profile["full_voltage"]) - self.port.diode
-
-
-ROWS = {name: TargetRow(**row) for name, row in read_yaml(environment.config("target_kinds.yaml")[0]).items()}
-
-
-def usual(values: Values) -> dict[str, Any]:
-    """Return a row's values with the middle of each range."""
+def usual_port(number: int) -> dict[str, float]:
+    """Return the values of `PortParameters` of the kind with this number, from 1; a range gives its middle."""
+    values = list(TARGET_KINDS.values())[number - 1].get("port", {})
     return {name: sum(value) / 2.0 if isinstance(value, list) else value for name, value in values.items()}
-
-
-def draw_target(row: TargetRow, source: random.Random) -> DrawnTarget:
-    """Draw a target from a row."""
-
-    def drawn(values: Values) -> dict[str, Any]:
-        return {name: source.uniform(*value) if isinstance(value, list) else value for name, value in values.items()}
-
-    return DrawnTarget(
-        PortParameters(**drawn({**_FILLING, **row.port})),
-        StageParameters(**drawn(row.stage)),
-        drawn(row.circuit),
-        {**LITHIUM_7S, **row.profile},
-    )

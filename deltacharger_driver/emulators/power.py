@@ -31,6 +31,8 @@ _RAMP_UP, _RAMP_DOWN, _RAMP_TIME = 40.0, 500.0, 0.05  # A/s, A/s, s that a comma
 _OPEN_CURRENT = 1.0  # A; below it a ramped opening opens the contactor
 _ZERO_TIME = 0.05  # s from the opening until feedback and current must confirm it
 _LARGEST_CURRENT = 20.0  # A
+_CURRENT_LIMIT = 18.0  # A of stage and electrodes
+_LOWEST_TARGET, _HIGHEST_TARGET = 10.0, 30.0  # V of a target that the stage feeds
 _REVERSE_LIMIT, _REVERSE_AT_ONCE, _REVERSE_TIME = -0.5, -5.0, 0.1  # A, A, s
 _SHORT_VOLTAGE = 2.0  # V; no target has less while current flows
 IDLE_CURRENT = 0.05  # A; below it no current flows
@@ -50,12 +52,15 @@ _CONFIRMED = 0.15  # s after an opening in which a weld shows
 _PROBE_VOLTAGE, _PROBE_RESISTANCE, _PROBE_TIME = 5.0, 100.0, 0.15  # V through Ω, s until it is judged
 _PROBE_OPEN = 1e-4  # A; below it the circuit is open
 _NEAR_FULL = 0.3  # V below its end in which a regulated input reduces its power
-_SWING = 2.0 * math.pi * 7.0  # rad/s
+_SWING, _SWINGS = 2.0 * math.pi * 7.0, 0.6  # rad/s and share by which a regulated input's power oscillates
 _FALLS_ASLEEP = 0.6  # of its wake_voltage
 _SECOND = 29.4  # V at which a second charger ends
 _FLOWS = 0.02  # A
-_FILM_MOST = 20.0  # Ω
-_DERATES_FROM = 10.0  # A
+_FILM_MOST, _FILM_GROWS = 20.0, 0.0025  # Ω, and Ω/s while current flows
+_DERATES_FROM, _DERATED = 10.0, 0.3  # A that a cold battery takes at first and at last
+_DISCHARGED = 20.6  # V from which a deeply discharged battery takes full current
+BATTERY_RESISTANCE = 0.15  # Ω inside the target's battery
+_BURST, _BURST_PERIOD = 0.01, 3.0  # s of current out of the target, and between two bursts
 _RELAXES = 0.02  # V, of a battery that its BMS has disconnected
 
 
@@ -86,9 +91,6 @@ class StageParameters(Bounded):
     steps_up: bool = flag(True, "it charges above its battery's voltage; false = it only steps down")
     stage_voltage: float = number(0.0, 0.0, 60.0, "V", "its constant voltage; 0 = the board sets it")
     input_fuse: float = number(20.0, 1.0, 60.0, "A", "fuse between the charger's battery and the stage")
-    current_limit: float = number(18.0, 0.5, 18.0, "A", "largest current of the stage (electrodes: 18 A)")
-    lowest_target: float = number(10.0, 0.0, 60.0, "V", "lowest voltage of a target that the stage feeds")
-    highest_target: float = number(30.0, 1.0, 60.0, "V", "highest voltage")
 
     def keeps(self, voltage: float) -> bool:
         """Return whether its output can be kept at or below this voltage (V)."""
@@ -204,9 +206,9 @@ class PowerStage:
         given, limits, target = self._given, self._limits, reading.target
         if limits.dead and math.isnan(target):
             target = 0.0
-        low = -LIVE_VOLTAGE if limits.dead else given.lowest_target
+        low = -LIVE_VOLTAGE if limits.dead else _LOWEST_TARGET
         too_high = not given.steps_up and target > reading.battery - _HEADROOM
-        if target < low or target > min(limits.voltage, given.highest_target) or too_high:
+        if target < low or target > min(limits.voltage, _HIGHEST_TARGET) or too_high:
             return BoardFault.VOLTAGE_OUT_OF_RANGE
         if abs(reading.output - target) <= _PRECHARGE_MATCH:
             self._enter(StageState.CLOSING, now)
@@ -239,9 +241,9 @@ class PowerStage:
 
     def _watch(self, reading: StageReading, now: float) -> int:
         """Return the fault of a reading that stays unknown or out of range."""
-        given, target, battery = self._given, reading.target, reading.battery
-        low = given.lowest_target if self._started else -math.inf
-        high = min(self._limits.voltage + _OVER, given.highest_target)
+        target, battery = reading.target, reading.battery
+        low = _LOWEST_TARGET if self._started else -math.inf
+        high = min(self._limits.voltage + _OVER, _HIGHEST_TARGET)
         if self._lapsed("current", math.isfinite(reading.current), _BLIND_TIMEOUT, now):
             return BoardFault.STALE
         if self._lapsed("target", low <= target <= high, _BLIND_TIMEOUT, now):
@@ -256,7 +258,7 @@ class PowerStage:
         flows = reading.current >= IDLE_CURRENT
         if flows:
             self._last["flow"], self._flowed = now, True
-        rests = not (flows and reading.target >= self._given.lowest_target)
+        rests = not (flows and reading.target >= _LOWEST_TARGET)
         self._started = self._lapsed("rest", rests, _STARTED, now) or self._started
         if fault := self._missing(reading, now):
             return fault
@@ -286,7 +288,7 @@ class PowerStage:
     def _largest(self, reading: StageReading, now: float) -> float:
         """Return the largest current allowed now, A: of the closing, the stage, its fuse, a start and a gap."""
         given = self._given
-        limits = [given.current_limit, self._limits.current]
+        limits = [_CURRENT_LIMIT, self._limits.current]
         power = given.input_fuse * _EFFICIENCY * reading.battery
         if math.isfinite(power):
             limits.append(power / max(reading.target, 1.0))
@@ -492,33 +494,24 @@ class PortParameters(Bounded):
 
     voltage: float = number(24.0, -60.0, 60.0, "V", "voltage of the battery without load; negative = swapped")
     capacity: float = number(0.0, 0.0, 1e9, "C/V", "charge that raises that voltage by 1 V; 0 = it stays constant")
-    resistance: float = number(0.15, 0.001, 100.0, "Ω", "inner resistance of the battery")
     accepts: bool = flag(True, "false = the target takes no current")
     diode: float = number(0.0, 0.0, 2.0, "V", "forward voltage of a diode that hides the battery; 0 = none")
     bleeder: float = number(0.0, 0.0, 1e6, "Ω", "resistor across the port, such as a detector's divider; 0 = none")
     capacitor: float = number(0.0, 0.0, 0.1, "F", "capacitor at the port; 0 = none")
     wake_voltage: float = number(0.0, 0.0, 60.0, "V", "voltage at which it connects its battery; 0 = always")
     wake_time: float = number(0.0, 0.0, 120.0, "s", "delay from there until the battery is connected")
-    gap_time: float = number(0.0, 0.0, 60.0, "s", "duration of each gap in the current; 0 = none")
+    gap_time: float = number(0.0, 0.0, 3600.0, "s", "duration of each gap in the current; 0 = none")
     gap_period: float = number(1.0, 0.001, 3600.0, "s", "time with current between two gaps")
     gaps: int = number(0, 0, 1000, "", "number of gaps after the battery was connected; 0 = without end")
-    trickle: float = number(0.0, 0.0, 18.0, "A", "current into a deeply discharged battery; 0 = as any other")
-    trickle_voltage: float = number(0.0, 0.0, 60.0, "V", "voltage from which it takes full current")
+    trickle: float = number(0.0, 0.0, 18.0, "A", "current into a battery below 20.6 V; 0 = as any other")
     derating_time: float = number(0.0, 0.0, 1e5, "s", "time constant of a cold battery that takes less; 0 = never")
-    derated: float = number(0.3, 0.0, 18.0, "A", "current that it takes at last")
     cut_voltage: float = number(0.0, 0.0, 60.0, "V", "battery voltage at which its BMS disconnects it; 0 = never")
     cut_time: float = number(0.0, 0.0, 3600.0, "s", "time until it connects the battery again; 0 = never")
-    load: float = number(0.0, 0.0, 500.0, "W", "power that the target uses while it is charged")
+    load: float = number(0.0, -500.0, 500.0, "W", "power that the target uses; negative = a second charger, to 29.4 V")
     load_period: float = number(0.0, 0.0, 3600.0, "s", "the load is on and off for this time each; 0 = always on")
-    source: float = number(0.0, 0.0, 18.0, "A", "current of a second charger, which keeps 29.4 V")
-    regeneration: float = number(0.0, 0.0, 18.0, "A", "current out of the target in each burst of braking; 0 = none")
-    burst_time: float = number(0.002, 0.001, 1.0, "s", "duration of a burst")
-    burst_period: float = number(5.0, 0.1, 3600.0, "s", "time between two bursts")
-    power: float = number(0.0, 0.0, 500.0, "W", "power that a regulated input behind a capacitor takes; 0 = none")
-    swing: float = number(0.0, 0.0, 1.0, "", "share by which that power oscillates at 7 Hz")
-    off_after: float = number(0.0, 0.0, 1e5, "s", "time of charging after which it is switched off; 0 = never")
-    film: float = number(0.0, 0.0, 20.0, "Ω", "resistance of dirt on the electrodes")
-    film_rate: float = number(0.0, 0.0, 1.0, "Ω/s", "growth of that resistance while current flows, up to 20 Ω")
+    regeneration: float = number(0.0, 0.0, 18.0, "A", "current out of it while it brakes, 10 ms every 3 s; 0 = none")
+    power: float = number(0.0, 0.0, 500.0, "W", "of a regulated input behind a capacitor, oscillating; 0 = none")
+    film: float = number(0.0, 0.0, 20.0, "Ω", "of dirt on the electrodes, growing while current flows; 0 = clean")
 
 
 class TargetPort:
@@ -535,7 +528,7 @@ class TargetPort:
 
     def __init__(self, parameters: PortParameters) -> None:
         self.parameters = parameters
-        plain = PortParameters(voltage=parameters.voltage, resistance=parameters.resistance, diode=parameters.diode)
+        plain = PortParameters(voltage=parameters.voltage, diode=parameters.diode)
         self.steady = parameters == plain
         self.voltage = parameters.voltage
         self.film = parameters.film
@@ -549,7 +542,7 @@ class TargetPort:
     def undriven(self) -> float:
         """V at the port that nothing drives."""
         p = self.parameters
-        hidden = p.diode or p.power or self._time < self._woken or self._is_off
+        hidden = p.diode or p.power or self._time < self._woken
         return self._stored if hidden or self._stored >= LIVE_VOLTAGE else self.voltage
 
     def probe(self, contact: float) -> tuple[float, float]:
@@ -587,7 +580,7 @@ class TargetPort:
             into = current
         if current >= _FLOWS:
             self._first = min(self._first, self._time)
-            self.film = min(self.film + p.film_rate * dt, _FILM_MOST)
+            self.film = min(self.film + _FILM_GROWS * dt, _FILM_MOST) if p.film else 0.0
         if self._woken == math.inf and shown >= p.wake_voltage and not math.isinf(contact):
             self._woken = self._time + p.wake_time
         self._charge(dt, into)
@@ -596,18 +589,14 @@ class TargetPort:
     @property
     def _source(self) -> float:
         """A from a second charger now."""
-        p = self.parameters
-        return min(p.source, max(_SECOND - self.voltage, 0.0) / p.resistance)
-
-    @property
-    def _is_off(self) -> bool:
-        return bool(self.parameters.off_after) and self._time - self._first >= self.parameters.off_after
+        given = max(-self.parameters.load, 0.0) / max(self.voltage, 1.0)
+        return min(given, max(_SECOND - self.voltage, 0.0) / BATTERY_RESISTANCE)
 
     @property
     def _takes(self) -> bool:
         """Whether the battery takes current now."""
         p, cut = self.parameters, self._time - self._cut
-        gone = not p.accepts or self._time < self._woken or self._is_off
+        gone = not p.accepts or self._time < self._woken
         return not (gone or cut < (p.cut_time or math.inf) or self._in_gap())
 
     def _in_gap(self) -> bool:
@@ -623,7 +612,7 @@ class TargetPort:
         if not self._takes or not voltage > 0.0:
             return 0.0
         share = min(max((p.cut_voltage - self.voltage) / _NEAR_FULL, 0.0), 1.0) if p.cut_voltage else 1.0
-        swing = 1.0 - p.swing * (0.5 - 0.5 * math.cos(_SWING * self._time))
+        swing = 1.0 - _SWINGS * (0.5 - 0.5 * math.cos(_SWING * self._time))
         return p.power * share * swing / voltage
 
     def _filled(self, dt: float, voltage: float, limit: float) -> tuple[float, float, float]:
@@ -644,12 +633,12 @@ class TargetPort:
         if not self._takes:
             return (voltage / p.bleeder if p.bleeder else 0.0), voltage
         since = self._time - self._first
-        if p.regeneration and since >= 0.0 and since % p.burst_period >= p.burst_period - p.burst_time:
+        if p.regeneration and since >= 0.0 and since % _BURST_PERIOD >= _BURST_PERIOD - _BURST:
             return -p.regeneration, voltage + p.regeneration * contact
-        path, behind = contact + p.resistance, self.voltage + p.diode + self._source * p.resistance
-        most = p.trickle if p.trickle and self.voltage < p.trickle_voltage else limit
+        path, behind = contact + BATTERY_RESISTANCE, self.voltage + p.diode + self._source * BATTERY_RESISTANCE
+        most = p.trickle if p.trickle and self.voltage < _DISCHARGED else limit
         if p.derating_time and since >= 0.0:
-            most = min(most, p.derated + _DERATES_FROM * math.exp(-since / p.derating_time))
+            most = min(most, _DERATED + _DERATES_FROM * math.exp(-since / p.derating_time))
         current = min((voltage - behind) / path, most, limit)
         if p.diode:
             current = max(current, 0.0)
@@ -661,7 +650,7 @@ class TargetPort:
         if not p.capacity:
             return
         idle = bool(p.load_period) and (self._time // p.load_period) % 2 == 1
-        load = 0.0 if idle else p.load / max(self.voltage, 1.0)
+        load = 0.0 if idle else max(p.load, 0.0) / max(self.voltage, 1.0)
         self.voltage += (into + self._source - load) * dt / p.capacity
         if p.cut_voltage and not p.power and self._takes and self.voltage >= p.cut_voltage:
             self._cut = self._time

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from deltacharger_core.machine import JOINTS
 from deltacharger_core.parameters import Bounded, ParameterError, number, words
 from deltacharger_core.servo_types import SPEEDS
-from deltacharger_sim.circuit import ROWS, usual
+from deltacharger_sim.circuit import TARGET_KINDS, usual_port
 
 if TYPE_CHECKING:
     from deltacharger_driver.emulators.board import BoardEmulator
@@ -200,7 +200,7 @@ def _board_dead_taxel(hardware: Hardware, order: FaultOrder) -> Undo:
 
 
 def _target_port(hardware: Hardware, order: FaultOrder) -> Undo:
-    before = hardware.world.change_target(usual(list(ROWS.values())[round(order.amount) - 1].port))
+    before = hardware.world.change_target(usual_port(round(order.amount)))
     return lambda: hardware.world.change_target(before)
 
 
@@ -218,7 +218,9 @@ _ID = Amount(f"an id of 1 to {SERVOS}", 1, SERVOS, 1, whole=True)
 _CODE = Amount("a fault code of ChargerPower, 1 to 9", 1, 9, 9, whole=True)
 _TAXEL = Amount("a taxel, 0 to 99 left and 100 to 199 right, row by row from the top", 0, 199, 44, whole=True)
 _ROW = Amount(
-    f"a row of 1 to {len(ROWS)}", 1, len(ROWS), 19, tuple(n for n, row in enumerate(ROWS.values(), 1) if row.port), True
+    *(f"a row of 1 to {len(TARGET_KINDS)}", 1, len(TARGET_KINDS), 19),
+    choice=tuple(number for number, kind in enumerate(TARGET_KINDS.values(), 1) if "port" in kind),
+    whole=True,
 )
 _BOOT = Amount("a boot of 0 to 10 s", 0.0, 10.0, 0.0)
 

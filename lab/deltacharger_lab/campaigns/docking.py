@@ -9,7 +9,7 @@ from typing import Any
 
 from deltacharger_docking.codes import Code, DockingError
 from deltacharger_docking.observation import DockGoal, DockingOutcome
-from deltacharger_lab.campaigns import estimates, judge
+from deltacharger_lab.campaigns import estimates, judge, targets
 from deltacharger_lab.campaigns.disturbances import SECONDS, Nudging, Rest, high_row, watched_after
 from deltacharger_lab.campaigns.draw import Drawn, draw
 from deltacharger_lab.campaigns.estimates import EstimateLog
@@ -18,7 +18,6 @@ from deltacharger_lab.campaigns.parts import AXES, FIRST, make_pads
 from deltacharger_lab.campaigns.published import published
 from deltacharger_lab.campaigns.scene import CampaignScene
 from deltacharger_lab.campaigns.trial import ExactHostile, QuickHostile, Trial
-from deltacharger_sim.virtual import targets
 from deltacharger_sim.virtual.quick_charger import QuickCharger
 from deltacharger_sim.virtual.virtual_charger import Effort, VirtualCharger
 

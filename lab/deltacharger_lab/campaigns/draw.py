@@ -26,9 +26,9 @@ from deltacharger_lab.campaigns.parts import (
     target_lean,
 )
 from deltacharger_lab.campaigns.scene import CampaignScene
+from deltacharger_lab.campaigns.targets import CASES, TargetCase
 from deltacharger_lab.second.parameters import SecondParameters
 from deltacharger_sim.parameters import WorldParameters
-from deltacharger_sim.virtual.targets import CASES, TargetCase
 from deltacharger_sim.virtual.virtual_charger import PROFILE
 from deltacharger_tactile.parameters import TactileParameters
 

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from deltacharger_lab.campaigns.targets import FULL, ROWS, UNTOUCHED
 from deltacharger_lab.reports.docking.summary import Columns, Figures, quantiles
 from deltacharger_lab.reports.report import at_least, none
-from deltacharger_sim.circuit import FULL, ROWS, UNTOUCHED
 
 SCENES = ("targets", "target_pairs", "target_gaps")
 """Campaigns of the section, if they were run."""

@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from deltacharger_docking.observation import DockGoal, DockingOutcome, ElectrodePose
 from deltacharger_docking.parameters import TargetProfile
-from deltacharger_sim.circuit import ENDED, FULL, LITHIUM_7S, ROWS, UNTOUCHED, DrawnTarget, TargetRow, draw_target
+from deltacharger_driver.emulators.power import PortParameters, StageParameters
+from deltacharger_sim.circuit import TARGET_KINDS
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.virtual.virtual_charger import VirtualCharger
 
@@ -28,6 +29,65 @@ _PACKS = {  # V, empty and full
     "iron_8S": (20.0, 29.2),
     "lithium_7S": (19.0, 29.4),
 }
+
+Values = Mapping[str, Any]
+
+LITHIUM_7S: Values = {"empty_voltage": 19.0, "full_voltage": 29.4, "current": 10.0, "end_current": 0.5}
+FULL, UNTOUCHED, ENDED = "full", "untouched", "ended"
+_FILLING: Values = {"voltage": [22.0, 27.0], "capacity": [150.0, 250.0]}
+
+
+@dataclass(frozen=True)
+class TargetRow:
+    """One kind.
+
+    Attributes:
+        text: what is seen.
+        port, stage, circuit, profile: values that differ from the usual ones; a pair is a range.
+        ends: the endings that are right.
+        codes: names of docking's codes of the endings that are not full.
+    """
+
+    text: str
+    port: Values = field(default_factory=dict)
+    stage: Values = field(default_factory=dict)
+    circuit: Values = field(default_factory=dict)
+    profile: Values = field(default_factory=dict)
+    ends: tuple[str, ...] = (FULL,)
+    codes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class DrawnTarget:
+    """One target drawn from a row: values of `CircuitParameters` and of docking's `TargetProfile` as mappings."""
+
+    port: PortParameters
+    stage: StageParameters
+    circuit: Values
+    profile: Values
+
+    @property
+    def full(self) -> float:
+        """V of the battery itself when the profile calls it full."""
+        return float(self.profile["full_voltage"]) - self.port.diode
+
+
+ROWS = {name: TargetRow(**row) for name, row in TARGET_KINDS.items()}
+
+
+def draw_target(row: TargetRow, source: random.Random) -> DrawnTarget:
+    """Draw a target from a row."""
+
+    def drawn(values: Values) -> dict[str, Any]:
+        return {name: source.uniform(*value) if isinstance(value, list) else value for name, value in values.items()}
+
+    return DrawnTarget(
+        PortParameters(**drawn({**_FILLING, **row.port})),
+        StageParameters(**drawn(row.stage)),
+        drawn(row.circuit),
+        {**LITHIUM_7S, **row.profile},
+    )
+
 
 COLUMNS: dict[str, tuple[type, str]] = {
     "behaviour": (str, "kind of the target; of a pair its pack and the profile's"),

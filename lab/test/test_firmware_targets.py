@@ -23,13 +23,12 @@ from deltacharger_driver.board.protocol import (
 )
 from deltacharger_driver.emulators.power import Outputs, StageParameters
 from deltacharger_driver.packets import Packet, PacketDecoder, encode_packet
-from deltacharger_sim.circuit import ROWS, Circuit
+from deltacharger_lab.campaigns.targets import LIMIT, ROWS, TargetCase
+from deltacharger_sim.circuit import Circuit
 from deltacharger_sim.parameters import WorldParameters
-from deltacharger_sim.virtual.targets import LIMIT, TargetCase
 from deltacharger_sim.virtual.virtual_charger import GOAL, VirtualCharger
-
-from .board_host import BoardHost
-from .build import host_programs
+from test.firmware.board_host import BoardHost
+from test.firmware.build import host_programs
 
 pytestmark = pytest.mark.night
 
