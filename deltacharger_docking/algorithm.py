@@ -12,15 +12,9 @@ from __future__ import annotations
 import math
 
 from deltacharger_core.script import NEXT, Script
+from deltacharger_docking import codes
 from deltacharger_docking.clearance import LEAN_SIGMAS, MisalignmentEstimate
-from deltacharger_docking.codes import (
-    CriticalAngle,
-    DetectionStale,
-    ElectrodesNotFound,
-    Leaning,
-    State,
-    TactileStale,
-)
+from deltacharger_docking.codes import State
 from deltacharger_docking.context import SERVICE_TIMEOUT, Context
 from deltacharger_docking.energy import check_battery, de_energise, prove_dead, wait_for_single_sources
 from deltacharger_docking.goals import check_place, in_words
@@ -109,14 +103,14 @@ def locate(context: Context) -> Script[ElectrodePose]:
     """Ask the camera where the electrodes are."""
     parameters = context.parameters
     context.enter(State.LOCATE, _LOCATE_TIMEOUT + _ANSWER)
-    reply = yield from context.ask(Service.DETECT, ElectrodesNotFound, _LOCATE_TIMEOUT)
+    reply = yield from context.ask(Service.DETECT, codes.ElectrodesNotFound, _LOCATE_TIMEOUT)
     found = reply.detection
     if not reply.success or found is None:
-        raise ElectrodesNotFound(f"no electrodes were found: {reply.message}")
+        raise codes.ElectrodesNotFound(f"no electrodes were found: {reply.message}")
     if not found.age <= _DETECTION_AGE_MAX:
-        raise DetectionStale(f"the detection is {found.age:.1f} s old, more than {_DETECTION_AGE_MAX:.1f} s")
+        raise codes.DetectionStale(f"the detection is {found.age:.1f} s old, more than {_DETECTION_AGE_MAX:.1f} s")
     if not found.image_range <= _IMAGE_RANGE_MAX:
-        raise ElectrodesNotFound(
+        raise codes.ElectrodesNotFound(
             f"the electrodes are {found.image_range:.2f} m from the camera and were measured without depth, which is "
             f"trusted up to {_IMAGE_RANGE_MAX:g} m: drive nearer, or check the depth images"
         )
@@ -136,7 +130,7 @@ def check_roll(context: Context, electrodes: ElectrodePose, limit: float) -> Non
         return
     text = "the roll, given or seen, is too large"
     context.decide("refused", text, roll_rad=roll, roll_stddev_rad=stddev, limit_rad=limit)
-    raise CriticalAngle(
+    raise codes.CriticalAngle(
         f"the electrodes are rolled by {math.degrees(roll):.1f}° ± {math.degrees(stddev):.1f}°, as given or seen; the "
         f"critical angle is {math.degrees(limit):.1f}°: level the target or the charger"
     )
@@ -150,13 +144,13 @@ def check_lean(context: Context, electrodes: ElectrodePose) -> None:
     """
     yaw, pitch = electrodes.yaw, electrodes.pitch
     if _is_surely_beyond(context, "pitch", pitch, electrodes.pitch_stddev, _LEAN_MAX):
-        raise Leaning(
+        raise codes.Leaning(
             f"the electrodes' faces are pitched by {math.degrees(pitch):+.1f}° about x of charger_base, as given "
             f"or seen, more than {math.degrees(_LEAN_MAX):.1f}°; level the target or the charger: check "
             "floor, tyres, suspension and load"
         )
     if _is_surely_beyond(context, "yaw", yaw, electrodes.yaw_stddev, _LEAN_MAX):
-        raise Leaning(
+        raise codes.Leaning(
             f"the electrodes' faces are yawed by {math.degrees(yaw):+.1f}° about y of charger_base, as given or seen, "
             f"more than {math.degrees(_LEAN_MAX):.1f}°; move the robot to suggested_base_pose, which is to "
             f"{in_words(yaw)}",
@@ -184,7 +178,7 @@ def prepare(context: Context) -> Script[None]:
     if _servos_silent(context):
         raise context.observation.servo_silence()
     if _pads_silent(context):
-        raise TactileStale("no tactile frames; check the board's cable and tactile_node")
+        raise codes.TactileStale("no tactile frames; check the board's cable and tactile_node")
     yield from context.answered()
     yield from de_energise(context)  # never pull off a contactor that welded in an earlier goal
     if not context.observation.torque_enabled:
@@ -193,9 +187,9 @@ def prepare(context: Context) -> Script[None]:
     # A restarted node does not know that it is docked; the pads show it.
     if context.status.docked or (context.observation.tared and context.observation.tactile_contact):
         yield from lift_off(context)
-    reply = yield from context.ask(Service.TARE, TactileStale, SERVICE_TIMEOUT)
+    reply = yield from context.ask(Service.TARE, codes.TactileStale, SERVICE_TIMEOUT)
     if not reply.success:
-        raise TactileStale(f"the pads were not tared: {reply.message}; they must be free before docking")
+        raise codes.TactileStale(f"the pads were not tared: {reply.message}; they must be free before docking")
     context.decide("tared", "the pads are tared in free air")
 
 

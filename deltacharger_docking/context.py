@@ -13,15 +13,9 @@ import numpy as np
 
 from deltacharger_core.machine import ORDER_AGE_MAX, ChargeLimits
 from deltacharger_core.script import NEXT, Calls, Script, Wait
+from deltacharger_docking import codes
 from deltacharger_docking.arm import Planner, RemainingShare
-from deltacharger_docking.codes import (
-    Astray,
-    DockingError,
-    PhaseTimeout,
-    ServoFailure,
-    State,
-    TactileStale,
-)
+from deltacharger_docking.codes import DockingError, State
 from deltacharger_docking.contact import CONTACT_LOST_CURRENT, CONTACT_WINDOW, PRESS_AGE_MAX, ContactCurrent, Evidence
 from deltacharger_docking.observation import (
     NAN3,
@@ -325,7 +319,7 @@ class Context:
             told = f"the arm waited {_HELD_MAX:g} s for {self._held}"
             if observation.servo_age > PRESS_AGE_MAX:
                 return observation.servo_silence()
-            return TactileStale(
+            return codes.TactileStale(
                 f"{told}, but it is {observation.tactile_age:.2f} s old; check the board's cable, tactile_node, and "
                 "whether this computer is too busy"
             )
@@ -333,7 +327,7 @@ class Context:
             return None
         phase, waited = self.status.state.name, self.status.waiting_for
         hint = f"it waited for {waited}" if waited else "see in the log what it did"
-        return PhaseTimeout(f"{phase} took longer than {phase.lower()}_timeout; {hint}")
+        return codes.PhaseTimeout(f"{phase} took longer than {phase.lower()}_timeout; {hint}")
 
     @contextmanager
     def waiting_for(self, what: str) -> Iterator[None]:
@@ -374,13 +368,13 @@ class Context:
             ServoFailure: they were not enabled.
         """
         self.goal_angles = self.observation.angles
-        reply = yield from self.ask(Service.TORQUE_ON, ServoFailure, SERVICE_TIMEOUT)
+        reply = yield from self.ask(Service.TORQUE_ON, codes.ServoFailure, SERVICE_TIMEOUT)
         if not reply.success:
-            raise ServoFailure(f"the servos were not enabled: {reply.message}")
+            raise codes.ServoFailure(f"the servos were not enabled: {reply.message}")
         end = self.time + self.parameters.age_max
         while not self.observation.torque_enabled:
             if self.time > end:
-                raise ServoFailure("servo_state does not show the torque that servo_node switched on; check servo_node")
+                raise codes.ServoFailure("servo_state does not show the torque that was switched on; check servo_node")
             yield NEXT
 
     def send(self, service: Service) -> None:
@@ -556,7 +550,7 @@ class Context:
             ServoFailure: it is unknown.
         """
         if not all(map(math.isfinite, self.position)):
-            raise ServoFailure("the arm's position is unknown, so it was not moved; check the servo bus and servo_node")
+            raise codes.ServoFailure("the arm's place is unknown, so it was not moved; check servo bus and servo_node")
         return self.position
 
     def check_moved(self, since: float) -> None:
@@ -566,7 +560,7 @@ class Context:
             Astray: servo_state repeats one reading.
         """
         if self.contact.changed <= since:
-            raise Astray("servo_state repeats one reading, so nothing shows where the arm is; restart servo_node")
+            raise codes.Astray("servo_state repeats one reading, so nothing shows where the arm is; restart servo_node")
 
     def rest(self) -> Script[None]:
         """Wait until the servos have settled and the contact current's window holds only readings at rest.
@@ -587,7 +581,7 @@ class Context:
         end = self.time + parameters.age_max
         while not math.isfinite(self.contact.value) or self.observation.servo_age > PRESS_AGE_MAX:
             if self.time > end:
-                raise ServoFailure("the servos' currents are not measured; check the servo bus and servo_node")
+                raise codes.ServoFailure("the servos' currents are not measured; check the servo bus and servo_node")
             yield NEXT
 
 

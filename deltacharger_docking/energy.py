@@ -7,16 +7,9 @@ import math
 
 from deltacharger_core.machine import ChargeLimits, Port, port_of
 from deltacharger_core.script import NEXT, Script, Wait
+from deltacharger_docking import codes
 from deltacharger_docking.clearance import LEAN_SIGMAS
-from deltacharger_docking.codes import (
-    Leaning,
-    NoChargeCurrent,
-    PowerStale,
-    ReversePolarity,
-    ShortCircuit,
-    State,
-    VoltageOutOfRange,
-)
+from deltacharger_docking.codes import State
 from deltacharger_docking.context import Context, Live
 from deltacharger_docking.observation import Reply, Service
 from deltacharger_docking.parameters import TargetProfile
@@ -97,7 +90,7 @@ def energise(context: Context) -> Script[bool]:
     context.enter(State.ENERGISE, math.inf)  # each of its steps has its limit
     if context.observation.power_fault not in (0, WELD):
         yield from _clear_fault(context)
-    reply = yield from context.ask(Service.PROBE, PowerStale, _PROBE_TIMEOUT)
+    reply = yield from context.ask(Service.PROBE, codes.PowerStale, _PROBE_TIMEOUT)
     context.decide(
         "probe",
         f"the probe {'answered' if reply.success else 'failed: ' + reply.message}",
@@ -148,7 +141,7 @@ def _current_flows(context: Context, profile: TargetProfile) -> Script[None]:
             since = math.inf
             if now > closed + profile.start_time:
                 found = f"Only {seen.charge_current:.2f} A" if seen.charge_current >= NO_CURRENT else "No current"
-                raise NoChargeCurrent(
+                raise codes.NoChargeCurrent(
                     f"{found} {profile.start_time:g} s after closing: the target has not connected, or is full; check "
                     f"its input, and start_time and least_current of profile {context.profile_name}"
                 )
@@ -157,7 +150,7 @@ def _current_flows(context: Context, profile: TargetProfile) -> Script[None]:
 
 def _clear_fault(context: Context) -> Script[None]:
     """Open once to clear a fault that was latched before this docking; if it returns, docking ends."""
-    yield from context.ask(Service.OPEN, PowerStale, _PROBE_TIMEOUT)
+    yield from context.ask(Service.OPEN, codes.PowerStale, _PROBE_TIMEOUT)
     end = context.time + OPEN_TIMEOUT
     while context.observation.power_fault and context.time < end:
         yield NEXT
@@ -210,32 +203,34 @@ def _check_probe(context: Context, profile: TargetProfile, port: Port, reply: Re
     """
     name, voltage, seen = context.profile_name, reply.target_voltage, context.observation
     if not reply.success or port is Port.UNKNOWN:
-        raise PowerStale(f"the probe failed: {reply.message or 'it measured nothing; check the wiring of its pins'}")
+        raise codes.PowerStale(f"the probe failed: {reply.message or 'it measured nothing; check its wiring'}")
     if port is Port.SHORT:
-        raise ShortCircuit(f"the probe found {reply.resistance:.2f} Ω between the electrodes; clean or realign them")
+        raise codes.ShortCircuit(
+            f"the probe found {reply.resistance:.2f} Ω between the electrodes; clean or realign them"
+        )
     if port is Port.REVERSED:
-        raise ReversePolarity(f"the target has {voltage:.1f} V: its electrodes are swapped")
+        raise codes.ReversePolarity(f"the target has {voltage:.1f} V: its electrodes are swapped")
     if port is Port.LIVE and voltage >= DEAD:  # less is a capacitor that an earlier probe has charged
         if not profile.empty_voltage <= voltage <= profile.full_voltage:
             allowed = f"{profile.empty_voltage:.1f} to {profile.full_voltage:.1f} V"
-            raise VoltageOutOfRange(
+            raise codes.VoltageOutOfRange(
                 f"the target has {voltage:.1f} V; profile {name} allows {allowed}: wrong robot or profile"
             )
         if not seen.stage_steps_up and voltage > seen.battery_voltage - _STEP:
-            raise VoltageOutOfRange(
+            raise codes.VoltageOutOfRange(
                 f"the target has {voltage:.1f} V, and the charger's battery {seen.battery_voltage:.1f} V: its power "
                 "stage only steps down; charge that battery, or fit a stage that steps up"
             )
     elif profile.port == "live":
         pitch = context.electrodes
         if port is Port.OPEN and pitch and abs(pitch.pitch) > LEAN_SIGMAS * pitch.pitch_stddev:
-            raise Leaning(
+            raise codes.Leaning(
                 f"no current flows into the port; the electrodes' faces are pitched by "
                 f"{math.degrees(pitch.pitch):+.1f}° about x of charger_base, so one bar does not press: level "
                 "the target or the charger"
             )
         dirt = "" if port is Port.DEAD else ", or clean the electrodes and check that no pitch of the faces lifts a bar"
-        raise NoChargeCurrent(
+        raise codes.NoChargeCurrent(
             f"the port has no voltage ({reply.resistance:.3g} Ω), but profile {name} says it is live: wake the target "
             f"or switch it on; if a diode or a relay is in its port, set port: dead in the profile{dirt}"
         )

@@ -1,20 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Goals: checks, the suggested position of the robot for unreachable goals, and the goal that is being served."""
+"""Goals: their checks, and the suggested position of the robot for unreachable ones."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.parameters import did_you_mean
 from deltacharger_core.texts import far, outside, wrong_id
 from deltacharger_docking.arm import Planner
 from deltacharger_docking.clearance import LEAN_SIGMAS
-from deltacharger_docking.codes import Code, DockingError, Misplaced, Rejected, Unreachable
+from deltacharger_docking.codes import Misplaced, Rejected, Unreachable
 from deltacharger_docking.context import Context
-from deltacharger_docking.observation import BasePose, DockGoal, DockingOutcome, ElectrodePose, Observation
+from deltacharger_docking.observation import BasePose, DockGoal, ElectrodePose
 from deltacharger_docking.parameters import DockingParameters, TargetProfile
 from deltacharger_docking.release import BACK
 
@@ -141,74 +140,3 @@ def suggested_base(error: Exception) -> BasePose | None:
     if not isinstance(error, Misplaced) or error.electrodes is None:
         return None
     return BasePose.before(error.electrodes, error.yaw)
-
-
-class GoalDesk:
-    """Accepts one goal at a time and provides its outcome.
-
-    Attributes:
-        is_open: whether a goal is being served.
-        deadline: time by which it must end, s.
-        cancel_requested: whether its client has cancelled it.
-        outcome: of the last goal, until the shell has taken it.
-    """
-
-    def __init__(self, context: Context) -> None:
-        self._context = context
-        self.is_open = False
-        self.deadline = math.inf
-        self.cancel_requested = False
-        self.outcome: DockingOutcome | None = None
-
-    def begin(self, request_id: str, observation: Observation) -> None:
-        """Accept a goal."""
-        context = self._context
-        context.observe(observation)
-        self.is_open, self.cancel_requested, self.outcome = True, False, None
-        context.started, context.status.elapsed = context.time, 0.0
-        self.deadline = context.time + context.parameters.goal_timeout
-        context.energy, context.energy_most = math.nan if context.parameters.always_live else 0.0, 0.0
-        context.charge_end = ""
-        context.deadline = math.inf
-        context.status.request_id = request_id
-        context.status.code, context.status.message = Code.NONE, ""
-
-    def succeed(self, message: str, notice: str = "") -> None:
-        """End the goal with success, if there is one; `notice` is further information for its client."""
-        self._end(replace(self._outcome(True, Code.NONE, message, False), notice=notice))
-
-    def fail(self, error: DockingError) -> None:
-        """End the goal with the code of `error` and the message of the status, if there is one."""
-        outcome = self._outcome(False, error.code, self._context.status.message, error.retriable)
-        self._end(replace(outcome, suggested_base=suggested_base(error)))
-
-    def _outcome(self, success: bool, code: Code, message: str, retriable: bool) -> DockingOutcome:
-        context = self._context
-        least, most = context.springs.true_force(context.contact.force)
-        measured = math.nan if context.parameters.always_live else context.observation.charge_current
-        return DockingOutcome(
-            success=success,
-            code=code,
-            message=message,
-            retriable=retriable,
-            aligned=success and context.status.aligned,
-            alignments=context.status.alignments,
-            redockings=context.status.redockings,
-            estimate=context.status.estimate,
-            contact_current=context.contact.value,
-            contact_force=context.contact.force,
-            contact_force_min=least,
-            contact_force_max=most,
-            charge_current=measured,
-            energy=context.energy,
-            charge_end=context.charge_end,
-            charge_voltage=context.charge_voltage if context.charge_end else context.observation.target_voltage,
-            elapsed=context.time - context.started,
-        )
-
-    def _end(self, outcome: DockingOutcome) -> None:
-        if not self.is_open:
-            return
-        self.is_open, self.cancel_requested, self.deadline, self.outcome = False, False, math.inf, outcome
-        text = outcome.message if outcome.success else f"{outcome.code.name}: {outcome.message}"
-        self._context.decide("ended", text, code=outcome.code, elapsed_s=outcome.elapsed, energy_J=outcome.energy)

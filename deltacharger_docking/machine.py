@@ -9,31 +9,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from types import MappingProxyType
+from typing import Any
 
 from deltacharger_core.script import NEXT, Runner, Script
+from deltacharger_docking import codes
 from deltacharger_docking.algorithm import align, dock
 from deltacharger_docking.arm import Planner
 from deltacharger_docking.charging import Order, charge, clearance_checks
 from deltacharger_docking.clearance import judge, limit_of
-from deltacharger_docking.codes import (
-    Astray,
-    Busy,
-    Canceled,
-    Code,
-    ContactorWelded,
-    CriticalAngle,
-    DockingError,
-    NoContact,
-    PhaseTimeout,
-    ServoFailure,
-    State,
-    Stuck,
-)
+from deltacharger_docking.codes import Code, DockingError, State
 from deltacharger_docking.contact import CONTACT_LOST_CURRENT
 from deltacharger_docking.context import Context, Live
 from deltacharger_docking.energy import de_energise, energise, wait_for_single_sources
-from deltacharger_docking.goals import GoalDesk, check_change, check_goal, check_id
+from deltacharger_docking.goals import check_change, check_goal, check_id, suggested_base
 from deltacharger_docking.observation import Command, DockGoal, DockingOutcome, DockingStatus, Observation
 from deltacharger_docking.parameters import DockingParameters, TargetProfile
 from deltacharger_docking.release import go_limp, retract
@@ -51,7 +41,7 @@ _PARTED = f"the electrodes were taken off although current may still have flowed
 
 
 class DockingMachine:
-    """Serves one goal at a time; `status` and `outcome` report its progress and result.
+    """Serves one goal at a time.
 
     Args:
         parameters: of docking.
@@ -59,6 +49,10 @@ class DockingMachine:
         planner: of lines; None = the default one.
         feed: sends lines to the servos; None = one that sends them piece by piece.
         profiles: of targets, by name, the default first; without any, no current flows.
+
+    Attributes:
+        is_open: whether a goal is being served.
+        outcome: of the last goal; the shell takes it and sets None.
     """
 
     def __init__(
@@ -70,7 +64,9 @@ class DockingMachine:
         profiles: Mapping[str, TargetProfile] = MappingProxyType({}),
     ) -> None:
         self._context = Context(parameters, geometry or DeltaGeometry(), planner, feed, profiles)
-        self._desk = GoalDesk(self._context)
+        self.is_open = self._cancel_requested = False
+        self._deadline = math.inf  # of the goal, s
+        self.outcome: DockingOutcome | None = None
         self._watches = Watches(self._context)
         self._runner = Runner()
         self._interruptible = self._halted = False  # halted: no look ends what makes the arm safe
@@ -94,18 +90,9 @@ class DockingMachine:
         return self._context.planner
 
     @property
-    def outcome(self) -> DockingOutcome | None:
-        """Result of the last goal; the shell takes it and sets None."""
-        return self._desk.outcome
-
-    @outcome.setter
-    def outcome(self, value: None) -> None:
-        self._desk.outcome = value
-
-    @property
     def busy(self) -> bool:
         """Whether no further Dock goal can be accepted; one can during supervision after success."""
-        return self._desk.is_open or (self._runner.is_running and not self._is_supervising)
+        return self.is_open or (self._runner.is_running and not self._is_supervising)
 
     @property
     def _is_supervising(self) -> bool:
@@ -119,7 +106,7 @@ class DockingMachine:
             Busy: a goal is being served, or the arm is on its way back.
         """
         if self.busy:
-            raise Busy(self._activity())
+            raise codes.Busy(self._activity())
 
     def check(self, goal: DockGoal) -> None:
         """Refuse a goal that can never be served as given, also while another one is.
@@ -137,12 +124,12 @@ class DockingMachine:
         check_change(goal, self._context)
         if not self._context.status.charging:
             self._context.choose_profile(goal.target_profile)
-        self._desk.begin(goal.request_id, observation)
+        self._open(goal.request_id, observation)
         self._record_goal(goal)
         if self._is_supervising and self._docking is not None:
             self._refusal = self._docking.take(goal)
             return
-        self._docking = docking = TargetVisit(self._context, self._desk, goal)
+        self._docking = docking = TargetVisit(self._context, self, goal)
         self._runner.start(self._serve(docking.run))
 
     def start_undock(self, request_id: str, observation: Observation) -> None:
@@ -153,15 +140,15 @@ class DockingMachine:
             Rejected: the request_id is too long.
         """
         check_id(request_id)
-        if self._desk.is_open or (self._runner.is_running and not self._interruptible):
-            raise Busy(self._activity())
+        if self.is_open or (self._runner.is_running and not self._interruptible):
+            raise codes.Busy(self._activity())
         self._begin(_undock, observation, request_id)
 
     def tune(self, parameters: DockingParameters) -> str:
         """Use other values of the tunable parameters from the next goal on; return why not if that is refused."""
-        if self._is_supervising and not self._desk.is_open:
+        if self._is_supervising and not self.is_open:
             return "the electrodes rest on the target under supervision; undock first"
-        if self._desk.is_open or self._runner.is_running:
+        if self.is_open or self._runner.is_running:
             return f"a goal is running: {self._activity()}"
         self._context.use_parameters(parameters)
         return ""
@@ -176,16 +163,16 @@ class DockingMachine:
         """
         self.check_free()
         self._begin(script, observation)
-        self._desk.deadline = math.inf
+        self._deadline = math.inf
 
     def _activity(self) -> str:
-        if self._desk.is_open:
+        if self.is_open:
             return "another goal is being served; cancel it or wait for its result"
         return "the arm is retracting; wait until docking_state reports IDLE"
 
     def cancel(self) -> None:
         """End the goal with CANCELED as soon as possible; the arm still retracts. Without a goal nothing happens."""
-        self._desk.cancel_requested = self._desk.is_open
+        self._cancel_requested = self.is_open
 
     def step(self, observation: Observation) -> Command:
         """Advance by one tick and return what to do."""
@@ -203,8 +190,8 @@ class DockingMachine:
         The goal is forgotten. If it is to end with `error`, further steps count its energy and time, until `end`.
         """
         self._forget_script()
-        self._desk.is_open &= error is not None
-        if error is not None and self._desk.is_open:
+        self.is_open &= error is not None
+        if error is not None and self.is_open:
             if self._context.status.charging:
                 self._context.end_charge(error.code.name)
             if not self._context.status.code:
@@ -221,7 +208,57 @@ class DockingMachine:
     def end(self) -> None:
         """End the goal that an emergency has interrupted, if there is one."""
         if self._failure is not None:
-            self._desk.fail(self._failure)
+            self._fail(self._failure)
+
+    def _open(self, request_id: str, observation: Observation) -> None:
+        """Accept a goal."""
+        context = self._context
+        context.observe(observation)
+        self.is_open, self._cancel_requested, self.outcome = True, False, None
+        context.started, context.status.elapsed = context.time, 0.0
+        self._deadline = context.time + context.parameters.goal_timeout
+        context.energy, context.energy_most = math.nan if context.parameters.always_live else 0.0, 0.0
+        context.charge_end = ""
+        context.deadline = math.inf
+        context.status.request_id = request_id
+        context.status.code, context.status.message = Code.NONE, ""
+
+    def succeed(self, message: str, notice: str = "") -> None:
+        """End the goal with success, if there is one; `notice` is further information for its client."""
+        self._close(self._outcome(Code.NONE, message), notice=notice, success=True, aligned=self.status.aligned)
+
+    def _fail(self, error: DockingError) -> None:
+        """End the goal with the code of `error` and the message of the status, if there is one."""
+        outcome = self._outcome(error.code, self.status.message)
+        self._close(outcome, retriable=error.retriable, suggested_base=suggested_base(error))
+
+    def _outcome(self, code: Code, message: str) -> DockingOutcome:
+        context, status = self._context, self._context.status
+        least, most = context.springs.true_force(context.contact.force)
+        return DockingOutcome(
+            code=code,
+            message=message,
+            alignments=status.alignments,
+            redockings=status.redockings,
+            estimate=status.estimate,
+            contact_current=context.contact.value,
+            contact_force=context.contact.force,
+            contact_force_min=least,
+            contact_force_max=most,
+            charge_current=math.nan if context.parameters.always_live else context.observation.charge_current,
+            energy=context.energy,
+            charge_end=context.charge_end,
+            charge_voltage=context.charge_voltage if context.charge_end else context.observation.target_voltage,
+            elapsed=context.time - context.started,
+        )
+
+    def _close(self, outcome: DockingOutcome, **more: Any) -> None:
+        if not self.is_open:
+            return
+        self.is_open, self._cancel_requested, self._deadline = False, False, math.inf
+        self.outcome = outcome = replace(outcome, **more)
+        text = outcome.message if outcome.success else f"{outcome.code.name}: {outcome.message}"
+        self._context.decide("ended", text, code=outcome.code, elapsed_s=outcome.elapsed, energy_J=outcome.energy)
 
     def _begin(self, script: Callable[[Context], Script[str]], observation: Observation, request_id: str = "") -> None:
         """Accept a goal and begin its script in place of supervision; the contactor stays as it is."""
@@ -229,9 +266,9 @@ class DockingMachine:
         def run() -> Script[None]:
             text = yield from script(self._context)
             self._context.enter(State.IDLE, math.inf)
-            self._desk.succeed(text)
+            self.succeed(text)
 
-        self._desk.begin(request_id, observation)
+        self._open(request_id, observation)
         self._context.status.aligned = False
         self._forget_script()
         self._runner.start(self._serve(run))
@@ -251,18 +288,18 @@ class DockingMachine:
 
     def _problem(self) -> DockingError | None:
         """Return the reason to interrupt the script now, if any."""
-        context, desk = self._context, self._desk
+        context = self._context
         if self._interruptible:
             refusal, self._refusal = self._refusal, None
-            if desk.cancel_requested:
-                return Canceled("cancelled by the client")
+            if self._cancel_requested:
+                return codes.Canceled("cancelled by the client")
             if refusal is not None:
                 return refusal
         if not self._halted and (problem := self._watches.problem(self._interruptible)) is not None:
-            self._halted = isinstance(problem, Astray | ContactorWelded) or not self._interruptible
+            self._halted = isinstance(problem, codes.Astray | codes.ContactorWelded) or not self._interruptible
             return problem
-        if self._interruptible and not self._is_supervising and context.time > desk.deadline:
-            return PhaseTimeout(f"docking took longer than goal_timeout, {self.parameters.goal_timeout:.0f} s")
+        if self._interruptible and not self._is_supervising and context.time > self._deadline:
+            return codes.PhaseTimeout(f"docking took longer than goal_timeout, {self.parameters.goal_timeout:.0f} s")
         return context.expired()  # even retracting has a limit
 
     def _serve(self, script: Callable[[], Script[None]]) -> Script[None]:
@@ -281,17 +318,17 @@ class DockingMachine:
         self._report(last)
         try:
             yield from self._retract(last)
-        except ContactorWelded as error:  # whatever ended the goal, a person must come
+        except codes.ContactorWelded as error:  # whatever ended the goal, a person must come
             self._failure = last = error
         context.enter(State.IDLE, math.inf)
-        self._desk.fail(last)
+        self._fail(last)
 
     def _report(self, error: DockingError) -> None:
         """Keep and report why the goal has failed."""
         self._failure, status = error, self._context.status
         status.code, status.message = error.code, str(error)
         problem = self._context.observation.clock_problem
-        if problem and not isinstance(error, Canceled):  # without a valid clock, data seem stale
+        if problem and not isinstance(error, codes.Canceled):  # without a valid clock, data seem stale
             status.message = f"{status.message}; {problem}"
         self._context.decide("interrupted", f"{error.code.name}: {error}", code=error.code)
 
@@ -300,14 +337,14 @@ class DockingMachine:
         context, status = self._context, self._context.status
         context.interrupt()
         try:
-            if isinstance(why, Astray):
+            if isinstance(why, codes.Astray):
                 context.hold()
                 context.enter(State.RETRACT, math.inf)
                 yield from de_energise(context)
                 yield from go_limp(context)
             else:
                 yield from retract(context)
-        except ContactorWelded as error:
+        except codes.ContactorWelded as error:
             seen_closed = is_closed(context) and context.observation.power_age <= self.parameters.age_max
             if status.code is not Code.CONTACTOR_WELDED:
                 status.message = f"{status.message}; then {error}"
@@ -321,7 +358,7 @@ class DockingMachine:
         except DockingError as error:
             status.message = f"{status.message}; then {error}"
             held = status.docked or context.observation.tactile_contact
-            status.docked = held and isinstance(error, Stuck)  # the magnets still hold it
+            status.docked = held and isinstance(error, codes.Stuck)  # the magnets still hold it
             context.deadline, self._halted = math.inf, True
             yield from go_limp(context)
         finally:
@@ -335,9 +372,9 @@ class TargetVisit:
         supervising: whether a further goal may be accepted: the electrodes rest on the target.
     """
 
-    def __init__(self, context: Context, desk: GoalDesk, goal: DockGoal) -> None:
+    def __init__(self, context: Context, machine: DockingMachine, goal: DockGoal) -> None:
         self._context = context
-        self._desk = desk
+        self._machine = machine
         self._goal = goal  # the first one
         limit = limit_of(context.parameters, goal.critical_angle or None)
         self._order = Order(goal, limit, context.started)
@@ -351,27 +388,27 @@ class TargetVisit:
 
         The lowest critical angle of all goals on this target applies, and supervision continues.
         """
-        context, order, desk, parameters = self._context, self._order, self._desk, self._context.parameters
+        context, order, parameters = self._context, self._order, self._context.parameters
         order.goal, order.since = goal, context.time
         if goal.critical_angle and goal.critical_angle < order.critical_angle:
             order.critical_angle = goal.critical_angle
             live = context.status.charging or parameters.always_live
             known = context.status.estimate if live else None
             if known and known.usable and not judge(known, parameters, goal.critical_angle).leaves_clearance:
-                return CriticalAngle("the goal's critical_angle is below what was measured on this target")
+                return codes.CriticalAngle("the goal's critical_angle is below what was measured on this target")
         if parameters.always_live:
             if not goal.hold:
-                desk.succeed(_DOCKED, _DOCKED)
+                self._machine.succeed(_DOCKED, _DOCKED)
         elif context.status.charging and goal.start_charging:
             if not goal.hold:
-                desk.succeed("already docked and charging")
+                self._machine.succeed("already docked and charging")
         else:
             self._is_new = True
         return None
 
     def run(self) -> Script[None]:
         """Dock, then serve every goal on this target until contact is lost or the torque is off."""
-        order, desk = self._order, self._desk
+        order = self._order
         self.supervising = False
         yield from self._dock()
         if self._context.parameters.always_live:
@@ -382,7 +419,7 @@ class TargetVisit:
             if order.goal.start_charging:
                 yield from self._charge()
             elif not order.goal.hold:
-                desk.succeed("docked; charging was not asked for")
+                self._machine.succeed("docked; charging was not asked for")
             self.supervising = True
             if not (yield from self._stay()):
                 return
@@ -415,7 +452,7 @@ class TargetVisit:
 
     def _charge(self) -> Script[None]:
         """Close the contactor, report success or hold the goal, supervise charging, and open it."""
-        context, desk = self._context, self._desk
+        context = self._context
         begun, context.charge_end = context.time, ""
         yield from self._measure_until_sure(begun)
         while not (yield from energise(context)):
@@ -423,13 +460,13 @@ class TargetVisit:
         context.status.charging = True
         context.enter(State.CHARGING, math.inf)
         if not self._order.goal.hold:
-            desk.succeed("charging")
+            self._machine.succeed("charging")
         self.supervising = True
         self._order.since = context.time
         reason = yield from charge(context, self._order, self._target)
         yield from de_energise(context)
         if not self._is_new:
-            desk.succeed(reason)
+            self._machine.succeed(reason)
 
     def _measure_until_sure(self, begun: float) -> Script[None]:
         """Measure again until nothing casts doubt on the last measurement; sources are awaited from `begun` (s) on.
@@ -446,7 +483,7 @@ class TargetVisit:
                 self._doubts += 1
                 context.decide("doubt", context.doubt, times=self._doubts)
             if self._doubts > _DOUBTS_MAX:
-                raise NoContact(f"no measurement lasted until the contactor could close: {context.doubt}")
+                raise codes.NoContact(f"no measurement lasted until the contactor could close: {context.doubt}")
             yield from self._measure_again()
 
     def _stay_live(self) -> Script[None]:
@@ -456,32 +493,32 @@ class TargetVisit:
         limits, measures or opens the circuit. So docked electrodes are monitored as while charging. If a check fails,
         docking takes them off. It never reports that it charges.
         """
-        context, order, desk = self._context, self._order, self._desk
+        context, order = self._context, self._order
         yield from self._measure_until_sure(context.time)
         context.enter(State.IDLE, math.inf)
         if not order.goal.hold:
-            desk.succeed(_DOCKED, _DOCKED)
+            self._machine.succeed(_DOCKED, _DOCKED)
         self.supervising, order.since = True, context.time
         reason = yield from _watch(context, order, self._target)
         self.supervising = False
         yield from _part(context)
-        desk.succeed(reason, f"{reason}; {_PARTED}")
+        self._machine.succeed(reason, f"{reason}; {_PARTED}")
 
     def _stay(self) -> Script[bool]:
         """Stay docked without current; return whether a goal follows, not a torque that went off or `hold_max`."""
-        context, order, desk = self._context, self._order, self._desk
+        context, order = self._context, self._order
         context.enter(State.IDLE, math.inf)
         while not self._is_new:
             if not context.observation.torque_enabled:
-                if desk.is_open:
-                    raise ServoFailure("the servos lost their torque while docked; see servo_node's diagnostics")
+                if self._machine.is_open:
+                    raise codes.ServoFailure("the servos lost their torque while docked; see servo_node's diagnostics")
                 return False
             if context.contact.value < CONTACT_LOST_CURRENT:
-                raise NoContact("contact was lost after docking; the target moved")
+                raise codes.NoContact("contact was lost after docking; the target moved")
             reason = order.is_met(context)
-            if desk.is_open and reason:
+            if self._machine.is_open and reason:
                 context.decide("stop", reason)
-                desk.succeed(reason)
+                self._machine.succeed(reason)
             if order.is_over(context):
                 self.supervising = False
                 yield from _part(context)

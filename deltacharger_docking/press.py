@@ -7,16 +7,9 @@ import math
 from collections.abc import Callable
 
 from deltacharger_core.script import NEXT, Script
+from deltacharger_docking import codes
 from deltacharger_docking.clearance import MisalignmentEstimate
-from deltacharger_docking.codes import (
-    NoContact,
-    NoTactileContact,
-    Overcurrent,
-    ServoFailure,
-    State,
-    TactileStale,
-    Unreachable,
-)
+from deltacharger_docking.codes import State
 from deltacharger_docking.contact import PRESS_AGE_MAX
 from deltacharger_docking.context import RESPONSE_MAX, RESPONSE_MIN, SETTLE_TOUCHING, Context, KnownContact
 from deltacharger_docking.parameters import BAND_MARGIN
@@ -84,9 +77,9 @@ def check_pads(context: Context) -> None:
     """
     observation = context.observation
     if observation.tactile_age > context.parameters.age_max:
-        raise TactileStale("tactile frames stopped during contact; check the board's cable and tactile_node")
+        raise codes.TactileStale("tactile frames stopped during contact; check the board's cable and tactile_node")
     if not observation.tactile_contact:
-        raise NoTactileContact(
+        raise codes.NoTactileContact(
             f"the servos push with {context.contact.value:.2f} A but no taxel measures 1 N: the pads missed the "
             "target's ridges, there is an obstacle, or gears or cable rub more than at the tare"
         )
@@ -129,8 +122,8 @@ def step_to(context: Context, z: float) -> Script[None]:
         yield NEXT
     try:
         yield from context.move((*_beside(context), z), context.parameters.press_speed)
-    except Unreachable as error:
-        raise NoContact(f"no contact before the arm's limit: {error}") from error
+    except codes.Unreachable as error:
+        raise codes.NoContact(f"no contact before the arm's limit: {error}") from error
 
 
 def slope_expected(context: Context) -> float:
@@ -178,7 +171,7 @@ def _meet(context: Context, depth: float, look: Look | None) -> Script[Misalignm
             yield from context.rest()
         elif not _touches(context):
             yield from _search(context, depth)
-    except Unreachable:
+    except codes.Unreachable:
         pass  # the steps that follow show whether the arm's limit is before the target
     return None
 
@@ -240,7 +233,7 @@ def _into_band(context: Context, depth: float) -> Script[None]:
     while True:
         contradictions = contradictions + 1 if (told := _contradiction(context, *start)) else 0
         if contradictions > 1:  # a robot that swings makes one
-            raise ServoFailure(told)
+            raise codes.ServoFailure(told)
         expected = slope_expected(context)
         slope = response * expected
         before, z = context.contact.value, context.commanded[2]
@@ -254,7 +247,7 @@ def _into_band(context: Context, depth: float) -> Script[None]:
                 "overshoot", "the push is above its band and is reduced", contact_current_A=before, times=overshoots
             )
             if overshoots > _OVERSHOOTS_MAX:
-                raise Overcurrent(
+                raise codes.Overcurrent(
                     f"contact current overshot to {before:.2f} A {overshoots} times; is the target moving?"
                     f"{context.springs.contradiction}"
                 )
@@ -307,7 +300,7 @@ def check_depth(context: Context, depth: float) -> None:
         NoContact: there was no contact up to `depth`.
     """
     if context.position[2] > (depth := _deepest(context, depth)):
-        raise NoContact(
+        raise codes.NoContact(
             f"no contact up to z = {1000 * depth:.0f} mm (charger_base); check that the target is there and that its "
             "coordinates are right"
         )

@@ -236,9 +236,7 @@ def retract(context: Context, wanted: bool = False) -> Script[None]:
         context.status.docked &= observation.tactile_contact  # the magnets still hold it
         yield from go_limp(context)
         return
-    if not math.isfinite(context.position[2]):
-        raise ServoFailure("the arm's position is unknown, so it was not moved; check the servo bus and servo_node")
-    strayed = wanted and math.dist(context.position, parameters.home) > LIFT
+    strayed = math.dist(context.measured(), parameters.home) > LIFT and wanted
     needed = strayed or observation.tactile_contact
     if needed and not observation.torque_enabled:
         yield from context.torque_on()

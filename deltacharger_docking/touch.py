@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from deltacharger_core.machine import MAGNET_WIDTH
 from deltacharger_core.script import NEXT, Script
+from deltacharger_docking import codes
 from deltacharger_docking.clearance import (
     CLEARANCE_SIGMAS,
     CLEARANCE_SIGMAS_SURE,
@@ -18,15 +19,7 @@ from deltacharger_docking.clearance import (
     least_clearance,
     reaches_limit,
 )
-from deltacharger_docking.codes import (
-    CriticalAngle,
-    EstimateUnsure,
-    Leaning,
-    Misaligned,
-    NoTactileContact,
-    State,
-    TactileStale,
-)
+from deltacharger_docking.codes import State
 from deltacharger_docking.context import SERVICE_TIMEOUT, Context
 from deltacharger_docking.goals import in_words
 from deltacharger_docking.observation import ElectrodePose, Service
@@ -59,16 +52,16 @@ def measure(context: Context) -> Script[MisalignmentEstimate]:
     context.doubt, context.doubtful = "", context.observation.duplicate_sources
     context.evidence.forget()
     context.evidence.begin()
-    reply = yield from context.ask(Service.ESTIMATE, TactileStale, SERVICE_TIMEOUT, ESTIMATE_FRAMES)
+    reply = yield from context.ask(Service.ESTIMATE, codes.TactileStale, SERVICE_TIMEOUT, ESTIMATE_FRAMES)
     estimate = reply.estimate
     if not reply.success or estimate is None:
-        raise TactileStale(f"no misalignment estimate: {reply.message}")
+        raise codes.TactileStale(f"no misalignment estimate: {reply.message}")
     context.status.estimate = estimate = with_pitch(context, estimate)
     text = "sure" if estimate.sure and estimate.in_range else "unsure" if estimate.in_range else "out of range"
     context.decide("measured", text, **estimate.numbers)
     keep_evidence(context, estimate)
     if not estimate.contact:
-        raise NoTactileContact("the pads lost contact before the misalignment was measured")
+        raise codes.NoTactileContact("the pads lost contact before the misalignment was measured")
     return estimate
 
 
@@ -124,9 +117,9 @@ def look(context: Context, target: Target) -> Script[MisalignmentEstimate | None
     if not parameters.always_live and context.port_shown and not context.is_dark:
         return None
     context.contact.clear()
-    reply = yield from context.ask(Service.ESTIMATE, TactileStale, SERVICE_TIMEOUT, ESTIMATE_FRAMES)
+    reply = yield from context.ask(Service.ESTIMATE, codes.TactileStale, SERVICE_TIMEOUT, ESTIMATE_FRAMES)
     if not reply.success or reply.estimate is None:
-        raise TactileStale(f"no misalignment estimate at the first touch: {reply.message}")
+        raise codes.TactileStale(f"no misalignment estimate at the first touch: {reply.message}")
     context.status.estimate = estimate = with_pitch(context, reply.estimate)
     text = "the first touch gives an estimate" if estimate.usable else "the touch is too light for an estimate"
     context.decide("touched", text, contact_current_A=context.contact.value, **estimate.numbers)
@@ -135,7 +128,7 @@ def look(context: Context, target: Target) -> Script[MisalignmentEstimate | None
         return estimate if forbids else None
     verdict = record_verdict(context, estimate, target.critical_angle)
     if verdict is Verdict.CRITICAL:
-        raise CriticalAngle(rolled_too_far(estimate.angle))
+        raise codes.CriticalAngle(rolled_too_far(estimate.angle))
     return estimate if verdict is Verdict.TOO_CLOSE else None
 
 
@@ -190,7 +183,7 @@ class Target:
         context.status.estimate = self._place.combined(estimate)
         if self._place.contradicts_itself and not stay:
             context.decide("contradiction", "the estimates contradict the arm's own moves", x_m=estimate.horizontal)
-            raise EstimateUnsure(
+            raise codes.EstimateUnsure(
                 "the pads' estimates contradict the arm's own moves; check whether frames repeat, the target "
                 "moves, or magnet_force is wrong"
             )
@@ -240,7 +233,7 @@ class Target:
         (x, y), risk = self._place.step(aside), self._place.risk
         if self._exhausted:
             context.decide("exhausted", "no correction is left", x_m=x, y_m=y, moves=self._moves)
-            raise Misaligned(
+            raise codes.Misaligned(
                 f"after {self._moves} moves there is no sure clearance; the electrodes are {1000 * x:.1f} mm "
                 f"horizontally and {1000 * y:.1f} mm vertically off"
             )
@@ -293,7 +286,7 @@ class Target:
             len(self._angles) >= _CLEARANCE_CONTACTS
             and judge(centred, parameters, self.critical_angle) is Verdict.CRITICAL
         ):
-            raise CriticalAngle(rolled_too_far(mean))
+            raise codes.CriticalAngle(rolled_too_far(mean))
         return verdict
 
     def _look_elsewhere(self, estimate: MisalignmentEstimate) -> tuple[float, float]:
@@ -327,14 +320,14 @@ class Target:
         context.decide("again", "the estimate is unsure: the contact is repeated", times=self._unsure)
         return 0.0, 0.0
 
-    def _leaning(self, estimate: MisalignmentEstimate, yaw: float) -> Leaning:
+    def _leaning(self, estimate: MisalignmentEstimate, yaw: float) -> codes.Leaning:
         """Return the error of faces that are yawed by at least this (rad), or by the detected yaw if larger."""
         electrodes = self._context.electrodes
         seen = electrodes.sure_yaw(LEAN_SIGMAS) if electrodes is not None else 0.0
         yaw = seen if seen * yaw > yaw * yaw else yaw
         x, y, z = self._context.position
         left, right = estimate.left_force, estimate.right_force
-        return Leaning(
+        return codes.Leaning(
             f"one pad carries nearly all the force ({left:.0f} N left, {right:.0f} N right): the target's faces are "
             f"yawed by {math.degrees(yaw):+.1f}° or more about y of charger_base, or it is far from its given place; "
             f"move the robot to suggested_base_pose, which is to {in_words(yaw)}",
@@ -345,9 +338,11 @@ class Target:
     def _give_up(self, estimate: MisalignmentEstimate) -> None:
         parameters, angle = self._context.parameters, estimate.angle
         if math.isfinite(angle) and reaches_limit(angle, parameters, self.critical_angle):
-            raise CriticalAngle(rolled_too_far(estimate.angle))
+            raise codes.CriticalAngle(rolled_too_far(estimate.angle))
         what = "outside the estimator's range" if not estimate.in_range else "unsure"
-        raise EstimateUnsure(f"the tactile estimate stayed {what} in {self._unsure} contacts; check pads and target")
+        raise codes.EstimateUnsure(
+            f"the tactile estimate stayed {what} in {self._unsure} contacts; check pads and target"
+        )
 
 
 def rolled_too_far(angle: float) -> str:

@@ -12,29 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from deltacharger_core.machine import LIVE_VOLTAGE, LONGEST_LEASE, ZERO_CURRENT
-from deltacharger_docking.codes import (
-    POWER_FAULTS,
-    Astray,
-    ChargeOvercurrent,
-    Code,
-    ContactorWelded,
-    DockingError,
-    DuplicateSource,
-    NoChargeCurrent,
-    NoContact,
-    NoTactileContact,
-    Overcurrent,
-    PowerStale,
-    Regenerated,
-    ReverseCurrent,
-    ReversePolarity,
-    ServoFailure,
-    ShortCircuit,
-    State,
-    TactileStale,
-    TargetRolls,
-    VoltageOutOfRange,
-)
+from deltacharger_docking import codes
+from deltacharger_docking.codes import POWER_FAULTS, Code, DockingError, State
 from deltacharger_docking.contact import PRESS_AGE_MAX
 from deltacharger_docking.context import SAME_SAMPLE, SHOWS, YIELDS, Context, Live
 from deltacharger_docking.parameters import TargetProfile
@@ -87,21 +66,21 @@ class Watches:
         context = self._context
         seen, geometry = context.observation, context.kinematics.geometry
         if seen.stopped:
-            return Astray(f"servo_node stopped the arm: {seen.stopped}")
+            return codes.Astray(f"servo_node stopped the arm: {seen.stopped}")
         box = zip(geometry.workspace_min, context.position, geometry.workspace_max, strict=True)
         outside = max(0.0, *(max(low - p, p - high) for low, p, high in box))  # a limp arm may hang there
         known, self._outside = self._outside, min(self._outside, outside) if seen.torque_enabled else outside
         if seen.torque_enabled and (beside := context.beside) > _BESIDE:
             goals = context.kinematics.inverse(*context.sent)
             errors = [abs(goal - angle) for goal, angle in zip(goals, context.angles, strict=True)]
-            return Astray(
+            return codes.Astray(
                 f"the arm is {1000 * beside:.0f} mm beside its line, servo {errors.index(max(errors)) + 1} farthest "
                 "from its goal: look for what blocks or drags it, and at its horn, gear and cable"
             )
         if not seen.torque_enabled or not outside > known + _OUTSIDE:
             return None
         x, y, z = (1000.0 * value for value in context.position)
-        return Astray(
+        return codes.Astray(
             f"the arm is at ({x:.0f}, {y:.0f}, {z:.0f}) mm, outside its workspace: look at its horns, rods and "
             "zero_ticks, and at what drags it"
         )
@@ -123,7 +102,7 @@ class Watches:
             self._dead = now
         if now - self._dead < SURE:
             return None
-        return ContactorWelded(
+        return codes.ContactorWelded(
             f"the electrodes touch nothing but have {seen.target_voltage:.1f} V with the contactor open, so it is "
             "welded, or its voltage divider lies: switch the charger's battery off, and replace what is broken"
         )
@@ -137,7 +116,7 @@ class Watches:
         bits = self._context.observation.hardware_error
         if not bits:
             return None
-        return ServoFailure(f"a servo reports hardware error {bits:#04x}; remove the cause, then call reboot_servos")
+        return codes.ServoFailure(f"a servo reports hardware error {bits:#04x}: end the cause, then call reboot_servos")
 
     def _torque_lost(self) -> DockingError | None:
         context, state = self._context, self._context.status.state
@@ -145,13 +124,13 @@ class Watches:
         needed = moves or context.closing is not None or state in (*_TOUCHING, State.ENERGISE)
         if context.observation.torque_enabled or not needed:
             return None
-        return ServoFailure("the servos lost their torque; see servo_node's diagnostics")
+        return codes.ServoFailure("the servos lost their torque; see servo_node's diagnostics")
 
     def _pushes_too_hard(self) -> DockingError | None:
         context, most = self._context, self._context.parameters.hard_current
         if context.lets_go or context.contact.span < _PUSHED or not context.contact.value > most:
             return None
-        return Overcurrent(
+        return codes.Overcurrent(
             f"contact current is {context.contact.value:.2f} A, above {most} A{context.springs.contradiction}"
         )
 
@@ -162,7 +141,7 @@ class Watches:
         if context.lets_go or not (touching and way > YIELDS):
             return None
         if context.contact.value < -context.parameters.current_min:
-            return NoContact(f"the target moves away: it dragged the arm by {1000 * way:.0f} mm")
+            return codes.NoContact(f"the target moves away: it dragged the arm by {1000 * way:.0f} mm")
         return rolls(context, f"it gives way by {1000 * way:.0f} mm to a push of {context.contact.force:.0f} N")
 
     def _does_not_follow(self) -> DockingError | None:
@@ -170,8 +149,8 @@ class Watches:
             return None
         back = self._context.touched - self._context.position[2]
         if self._context.observation.tactile_contact and back > _LEAD_MAX:
-            return NoContact(f"the target moves: it pushed the arm back by {1000 * back:.0f} mm")
-        return ServoFailure(
+            return codes.NoContact(f"the target moves: it pushed the arm back by {1000 * back:.0f} mm")
+        return codes.ServoFailure(
             f"the arm does not follow: its command leads it by {1000 * lead:.0f} mm more than the push explains; "
             "look for an obstacle, a cable that drags, or a servo that slips"
         )
@@ -182,7 +161,7 @@ class Watches:
             return None
         if context.status.state in LIVE and context.closing is None:
             return None
-        return TactileStale("tactile frames stopped; check the board's cable and tactile_node")
+        return codes.TactileStale("tactile frames stopped; check the board's cable and tactile_node")
 
     def _is_missing(self, age: float, oldest: float) -> bool:
         """Return whether data of this age (s) end the goal; nodes that have just started get FIRST_DATA_TIMEOUT.
@@ -201,7 +180,7 @@ class Watches:
         context.closing.was_closed |= context.observation.contactor_closed or pause > LONGEST_LEASE  # which has lapsed
         if not pause > _PAUSE_MAX:
             return None
-        return PowerStale(
+        return codes.PowerStale(
             f"docking itself was suspended for {pause:.1f} s while the electrodes were live; check what else this "
             "computer runs"
         )
@@ -221,7 +200,7 @@ class Watches:
         self._collapse = min(self._collapse, sampled)
         if sampled <= self._collapse + SAME_SAMPLE:
             return None
-        return ShortCircuit(
+        return codes.ShortCircuit(
             f"the port's voltage fell from {self._port:.1f} to {seen.target_voltage:.1f} V in contact: a bar bridges "
             "it, or the target switched itself off; check how the target stands, and its fuse"
         )
@@ -233,7 +212,7 @@ class Watches:
         if fault == _REVERSE:
             much = self._context.observation.least_current < _MUCH_BACK
             return _flows_back("the power stage opened the contactor: current flowed", much)
-        kind, words = POWER_FAULTS.get(fault, (PowerStale, f"fault {fault}"))
+        kind, words = POWER_FAULTS.get(fault, (codes.PowerStale, f"fault {fault}"))
         return kind(f"the power stage opened the contactor: {words}")
 
     def _servos(self) -> DockingError | None:
@@ -248,13 +227,13 @@ class Watches:
         if observation.power_age > parameters.age_max:
             return _power_silent()
         if refusal and not live.was_closed:
-            return NoChargeCurrent(f"the contactor was not closed: {refusal}")
+            return codes.NoChargeCurrent(f"the contactor was not closed: {refusal}")
         if refusal or live.refused:
             return self._refusal(live, refusal)
         if live.was_closed and not observation.contactor_closed:
             return self._lost("the contactor opened by itself: lease or heartbeat was lost; check the board's cable")
         if live.was_closed and not math.isfinite(observation.charge_current):
-            return PowerStale("the charge current is no longer measured; check the power stage")
+            return codes.PowerStale("the charge current is no longer measured; check the power stage")
         current, most = observation.charge_current, (context.profile.current if context.profile else 0.0) + _OVER
         for name, good in (("reverse", not current < _BACK), ("current", not current > most)):
             if good:
@@ -262,7 +241,7 @@ class Watches:
         if current < _MUCH_BACK or context.time - live.sound["reverse"] > _VOLTAGE_TIME:
             return _flows_back(f"{current:.1f} A flow", current < _MUCH_BACK)
         if context.time - live.sound["current"] > _VOLTAGE_TIME:
-            return ChargeOvercurrent(
+            return codes.ChargeOvercurrent(
                 f"{current:.1f} A exceed the limit of {most:.1f} A; have the power stage's limiter checked"
             )
         return None
@@ -280,7 +259,7 @@ class Watches:
     def _lost(self, how: str) -> DockingError:
         """Return the error of a contactor that another node opened: servo_node does so if a servo does not answer."""
         seen = self._context.observation
-        return PowerStale(how) if seen.servos_valid else seen.servo_silence()
+        return codes.PowerStale(how) if seen.servos_valid else seen.servo_silence()
 
     def _voltages(self) -> DockingError | None:
         """A voltage that is unknown or off for longer than a spike; the charger's battery may sag under load."""
@@ -302,13 +281,13 @@ class Watches:
         if context.closing is None or context.observation.servo_age > PRESS_AGE_MAX:
             return None
         if why := context.evidence_lost:
-            return NoContact(f"{why} while the electrodes were live; the target moved")
+            return codes.NoContact(f"{why} while the electrodes were live; the target moved")
         return None
 
 
 def _flows_back(flow: str, much: bool) -> DockingError:
     """Return the error of a target that regenerates: unless much flowed, it may be tried again."""
-    kind = ReverseCurrent if much else Regenerated
+    kind = codes.ReverseCurrent if much else codes.Regenerated
     return kind(f"{flow} out of the target: it brakes its wheels, or a second charger feeds it")
 
 
@@ -319,11 +298,11 @@ def is_closed(context: Context) -> bool:
     return seen.contactor_closed or flows or seen.power_fault == WELD
 
 
-def welded(context: Context) -> ContactorWelded:
+def welded(context: Context) -> codes.ContactorWelded:
     """Return the error of a contactor that is closed, or may be, although it was ordered to open or never to close."""
     observation, parameters = context.observation, context.parameters
     if observation.power_age > parameters.age_max:
-        return ContactorWelded(
+        return codes.ContactorWelded(
             "charger_power is silent, so the contactor may still be closed; the arm stays on the target: check the "
             "board's cable and tactile_node, or switch the charger's battery off"
         )
@@ -333,7 +312,7 @@ def welded(context: Context) -> ContactorWelded:
         how = f"the contactor is closed without an order (charge current {observation.charge_current:.1f} A)"
     reserve = observation.thermal_reserve
     lasts = f"; the arm can hold the electrodes for {reserve:.0f} s" if math.isfinite(reserve) else ""
-    return ContactorWelded(f"{how}: switch the charger's battery off by hand and replace the contactor{lasts}")
+    return codes.ContactorWelded(f"{how}: switch the charger's battery off by hand and replace the contactor{lasts}")
 
 
 def reason_not_to_close(context: Context) -> DockingError | None:
@@ -344,9 +323,9 @@ def reason_not_to_close(context: Context) -> DockingError | None:
     if (unfit := battery_problem(context) or stage_problem(context)) is not None:
         return unfit
     if observation.tactile_age > parameters.age_max:
-        return TactileStale("tactile frames stopped; check the board's cable and tactile_node")
+        return codes.TactileStale("tactile frames stopped; check the board's cable and tactile_node")
     if not observation.tactile_contact:
-        return NoTactileContact("the pads lost contact before the contactor was closed")
+        return codes.NoTactileContact("the pads lost contact before the contactor was closed")
     if observation.duplicate_sources:
         return duplicate(observation.duplicate_sources)
     return unfit_servos(context)
@@ -357,7 +336,7 @@ def unfit_servos(context: Context) -> DockingError | None:
     seen = context.observation
     measured = (context.contact.value, *seen.angles, *seen.currents)  # contact.value lags: a median
     if not all(map(math.isfinite, measured)):
-        return ServoFailure("the servos' currents or angles are not measured; check the servo bus")
+        return codes.ServoFailure("the servos' currents or angles are not measured; check the servo bus")
     return servo_problem(context)
 
 
@@ -367,9 +346,9 @@ def servo_problem(context: Context) -> DockingError | None:
     if observation.servo_age > context.parameters.live_servo_age_max:
         return observation.servo_silence()
     if not observation.torque_enabled:
-        return ServoFailure("the servos lost their torque while electrodes were live; see servo_node's diagnostics")
+        return codes.ServoFailure("the servos lost torque while electrodes were live; see servo_node's diagnostics")
     if not observation.thermal_reserve >= _THERMAL_RESERVE_MIN:
-        return ServoFailure("the servos' thermal reserve is used up; let them cool and dock again")
+        return codes.ServoFailure("the servos' thermal reserve is used up; let them cool and dock again")
     return None
 
 
@@ -383,14 +362,14 @@ def battery_problem(context: Context, low: float | None = None) -> DockingError 
     low, high = context.parameters.battery_voltage_start if low is None else low, context.parameters.battery_voltage_max
     voltage = context.observation.battery_voltage
     if not math.isfinite(voltage):
-        return PowerStale(
+        return codes.PowerStale(
             "the voltage of the charger's own battery is not measured, so nothing is energised; check the power "
             "stage's plug and voltage divider, or set power to none if the electrodes are wired to the battery"
         )
     if low <= voltage <= high:
         return None
     cure = "charge it" if voltage < low else "check it and its charger"
-    return VoltageOutOfRange(
+    return codes.VoltageOutOfRange(
         f"the charger's own battery has {voltage:.1f} V; allowed are {low} to {high} V: {cure}, or check the voltage "
         "divider"
     )
@@ -404,7 +383,7 @@ def stage_problem(context: Context) -> DockingError | None:
     volts, full = context.observation.stage_voltage, profile.full_voltage
     if volts > full + _OVERCHARGES or volts < full - _NEVER_FILLS:
         does = "would overcharge it" if volts > full else "could never fill it"
-        return VoltageOutOfRange(
+        return codes.VoltageOutOfRange(
             f"the power stage is set to {volts:.1f} V, and profile {name} is full at {full:.1f} V: the stage {does}; "
             "set its voltage and declare it, or send another target_profile"
         )
@@ -417,34 +396,34 @@ def target_problem(context: Context, profile: TargetProfile) -> DockingError | N
     starts = profile.port == "dead" and context.status.state is State.ENERGISE  # its own voltage may still be missing
     low = -math.inf if starts else profile.empty_voltage - _BELOW
     if not math.isfinite(voltage):
-        return PowerStale("the target's voltage is not measured; check the power stage's voltage divider")
+        return codes.PowerStale("the target's voltage is not measured; check the power stage's voltage divider")
     if voltage <= -LIVE_VOLTAGE:
-        return ReversePolarity(f"the target has {voltage:.1f} V: its electrodes are swapped")
+        return codes.ReversePolarity(f"the target has {voltage:.1f} V: its electrodes are swapped")
     if low <= voltage <= high:
         return None
-    return VoltageOutOfRange(
+    return codes.VoltageOutOfRange(
         f"the target has {voltage:.1f} V; profile {context.profile_name} allows {profile.empty_voltage:.1f} to "
         f"{profile.full_voltage:.1f} V while it is charged"
     )
 
 
-def duplicate(names: str) -> DuplicateSource:
+def duplicate(names: str) -> codes.DuplicateSource:
     """Return the error of a second source."""
-    return DuplicateSource(
+    return codes.DuplicateSource(
         f"energising is refused because there is a second source: {names}; stop the second node, or give it its "
         "own namespace or ROS_DOMAIN_ID"
     )
 
 
-def rolls(context: Context, how: str) -> TargetRolls:
+def rolls(context: Context, how: str) -> codes.TargetRolls:
     """Stop where the arm is, and return the error of a target that rolls."""
     context.hold()
     context.decide("rolls", how)
-    return TargetRolls(f"the target rolls: {how}; set its brakes, or the charger's")
+    return codes.TargetRolls(f"the target rolls: {how}; set its brakes, or the charger's")
 
 
-def _power_silent() -> PowerStale:
-    return PowerStale("charger_power stopped; check the board's cable and tactile_node")
+def _power_silent() -> codes.PowerStale:
+    return codes.PowerStale("charger_power stopped; check the board's cable and tactile_node")
 
 
 @dataclass(frozen=True)

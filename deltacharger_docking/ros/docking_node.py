@@ -24,7 +24,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from deltacharger_core import runtime
 from deltacharger_core.environment import package_version
-from deltacharger_core.frames import END_EFFECTOR, TransformParameters
+from deltacharger_core.frames import TransformParameters
 from deltacharger_core.texts import titled
 from deltacharger_docking.codes import Busy, Canceled, Code, DockingError, NoTime, State
 from deltacharger_docking.goals import suggested_base
@@ -100,9 +100,7 @@ class DockingNode(Node):
         self._ended: GoalHandle | None = None  # of the goal that ended last
         self._waiting: list[GoalHandle] | None = []  # goals that arrived before `release`
         self._inputs = Inputs(self, self._log)
-        self._calls = Services(
-            self, lambda detection: io.in_charger_base(detection, frames), transforms.named(END_EFFECTOR)
-        )
+        self._calls = Services(self, transforms)
         self._secret = secrets.token_hex(16)  # shows servo_node that this process sends the trajectories
         self._trajectory = self.create_publisher(JointTrajectory, "joint_trajectory", qos.LATEST)
         self._reports = Reports(self, self._log, self._settings.age_max, frames.charger_base)

@@ -15,13 +15,13 @@ from deltacharger.msg import ElectrodeDetection, Misalignment
 from geometry_msgs.msg import PoseStamped
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from deltacharger_core.frames import IDENTITY, Matrix, composed, inverted, lean, rotation
+from deltacharger_core.frames import CHARGER_BASE, IDENTITY, lean, rotation
 from deltacharger_core.machine import JOINTS
 from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.codes import PoseUnknown, Rejected
 from deltacharger_docking.observation import BasePose, ElectrodePose
 from deltacharger_kinematics.trajectory_feed import Waypoint
-from deltacharger_ros.frames import Contradiction, Frames, TransformError, UnknownFrame
+from deltacharger_ros.frames import Contradiction, TransformError, UnknownFrame
 from deltacharger_ros.messages import duration
 
 _LEAN_MAX = math.radians(30.0)  # of a goal's electrodes: more is a wrong frame
@@ -126,44 +126,28 @@ def refusal(error: TransformError) -> Rejected:
     return Rejected(str(error)) if lasts else PoseUnknown(str(error))
 
 
-def in_charger_base(message: ElectrodeDetection, frames: Frames) -> ElectrodeDetection:
-    """Return a detection in charger_base, converted from its own frame; the sender's covariance includes its mount.
-
-    Raises:
-        TransformError: its frame is unknown; there is no wait.
-        ValueError: as for `seen`, for a detection in another frame, whose roll is calculated again.
-    """
-    charger = frames.charger_base_in(message.header.frame_id, message.header.stamp, timeout=0.0)
-    if charger == IDENTITY:
-        return message
-    _axes(message)
-    place, turn = message.pose.pose.position, message.pose.pose.orientation
-    pose = composed(inverted(charger), (place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w))
-    axes = rotation(*pose[3:])
-    if axes[0][0] < 0.0:  # the bars look the same from both ends, so the roll is kept within a quarter turn
-        pose = composed(pose, (0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0))
-        axes = rotation(*pose[3:])
-    both = np.kron(np.eye(2), np.array(rotation(*charger[3:])).T)
-    covariance = both @ np.asarray(message.pose.covariance, dtype=float).reshape(6, 6) @ both.T
-    found = copy.deepcopy(message)
-    found.header.frame_id = frames.charger_base
-    place, turn = found.pose.pose.position, found.pose.pose.orientation
-    place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w = pose
-    found.pose.covariance = covariance.ravel()
-    found.roll = math.atan2(axes[1][0], axes[0][0])
-    return found
-
-
-def seen(message: ElectrodeDetection, age: float) -> ElectrodePose:
-    """Return a detection with this age (s) as plain values.
+def seen(message: ElectrodeDetection, age: float, frame: str = CHARGER_BASE) -> ElectrodePose:
+    """Return a detection with this age (s) as plain values; `frame` is the full name of charger_base.
 
     A lean is unknown if its variance is NaN, or 0 as in messages that do not set it.
 
     Raises:
-        ValueError: orientation or roll is not finite, they contradict each other, or a rotation's variance is negative.
+        ValueError: it is in another frame, orientation or roll is not finite, they contradict each other, or a
+            rotation's variance is negative.
     """
+    if message.header.frame_id != frame:
+        raise ValueError(f"the detection is in frame '{message.header.frame_id}', not in {frame}; check the detector")
     point, covariance = message.pose.pose.position, message.pose.covariance
-    axes = _axes(message)
+    turn = message.pose.pose.orientation
+    axes = rotation(turn.x, turn.y, turn.z, turn.w)
+    if not all(math.isfinite(value) for row in axes for value in (*row, message.roll)):
+        raise ValueError("the detection's orientation or roll is not finite; check the detector's mount")
+    oriented = math.atan2(axes[1][0], axes[0][0])
+    if abs(math.remainder(oriented - message.roll, 2.0 * math.pi)) > _SAME:
+        raise ValueError(
+            f"the detection contradicts itself: its roll is {math.degrees(message.roll):.1f}°, but its orientation has "
+            f"{math.degrees(oriented):.1f}°; check the detector"
+        )
     variances = tuple(float(covariance[index]) for index in (_ABOUT_X, _ABOUT_Y, _ABOUT_Z))
     if any(variance < 0.0 for variance in variances):
         raise ValueError("the detection has a negative variance of a rotation; check the detector's covariance")
@@ -180,21 +164,6 @@ def seen(message: ElectrodeDetection, age: float) -> ElectrodePose:
         pitch_stddev,
         message.range if message.source == IMAGE_ALONE else 0.0,
     )
-
-
-def _axes(message: ElectrodeDetection) -> Matrix:
-    """Return a detection's axes as columns; errors of orientation and roll as for `seen`."""
-    turn = message.pose.pose.orientation
-    axes = rotation(turn.x, turn.y, turn.z, turn.w)
-    if not all(math.isfinite(value) for row in axes for value in (*row, message.roll)):
-        raise ValueError("the detection's orientation or roll is not finite; check the detector's mount")
-    oriented = math.atan2(axes[1][0], axes[0][0])
-    if abs(math.remainder(oriented - message.roll, 2.0 * math.pi)) > _SAME:
-        raise ValueError(
-            f"the detection contradicts itself: its roll is {math.degrees(message.roll):.1f}°, but its orientation has "
-            f"{math.degrees(oriented):.1f}°; check the detector"
-        )
-    return axes
 
 
 def pose_stamped(base: BasePose | None, stamp: Any, frame: str) -> PoseStamped:

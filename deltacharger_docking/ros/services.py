@@ -8,16 +8,15 @@ import secrets
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from deltacharger.msg import ElectrodeDetection, Misalignment
+from deltacharger.msg import Misalignment
 from deltacharger.srv import DetectElectrodes, PredictMisalignment, Probe, SetContactor
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
-from deltacharger_core.frames import END_EFFECTOR
+from deltacharger_core.frames import CHARGER_BASE, END_EFFECTOR, TransformParameters
 from deltacharger_core.machine import LONGEST_LEASE, ChargeLimits
 from deltacharger_core.texts import cut
 from deltacharger_docking.clearance import MisalignmentEstimate
@@ -41,18 +40,15 @@ class Services:
 
     Args:
         node: calls.
-        place: returns a detection in charger_base; must not wait.
-        end_effector: full name of this frame.
+        transforms: how its frames are named.
     """
 
     def __init__(
         self,
         node: Node,
-        place: Callable[[ElectrodeDetection], ElectrodeDetection] = lambda detection: detection,
-        end_effector: str = END_EFFECTOR,
+        transforms: TransformParameters,
     ) -> None:
-        self._place = place
-        self._end_effector = end_effector
+        self._charger_base, self._end_effector = transforms.named(CHARGER_BASE), transforms.named(END_EFFECTOR)
         self._lock = threading.Lock()
         self._replies: list[Reply] = []
         self._refusal = ""
@@ -189,7 +185,7 @@ class Services:
             return {}
         # An image with a stamp in the future is as wrong as an old one.
         old = abs(age(self._clock, seconds(answer.detection.header.stamp)))
-        return {"detection": seen(self._place(answer.detection), old)}
+        return {"detection": seen(answer.detection, old, self._charger_base)}
 
     def _put(self, reply: Reply) -> None:
         with self._lock:

@@ -22,7 +22,7 @@ from rclpy.node import Node
 from deltacharger_core.frames import END_EFFECTOR, LONGEST, TransformParameters
 from deltacharger_core.texts import passage, quantity, titled
 from deltacharger_docking.codes import Busy, Canceled, Code, DockingError, Rejected
-from deltacharger_docking.ros.messages import MEASURED, in_charger_base, refusal
+from deltacharger_docking.ros.messages import MEASURED, refusal
 from deltacharger_mission.dialogue import MissionOutcome, MissionStatus, Stage
 from deltacharger_mission.machine import MissionMachine
 from deltacharger_mission.parameters import MissionParameters
@@ -115,13 +115,7 @@ class MissionNode(Node):
         self._end_effector = transforms.named(END_EFFECTOR)
         home = Place(given.home_x, given.home_y, given.home_yaw, given.map_frame) if self._drives else None
         self._machine = MissionMachine(given, mount, home)
-        self._others = Others(
-            self,
-            navigate_to_pose,
-            given,
-            lambda detection: in_charger_base(detection, self._frames),
-            self._end_effector,
-        )
+        self._others = Others(self, navigate_to_pose, given, transforms)
         self._diagnostics = Diagnostics(self)
         self._log = Log(self)
         self._lock = threading.RLock()

@@ -17,7 +17,16 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from deltacharger_core.frames import END_EFFECTOR, LONGEST, Pose, composed, lean, rotation
+from deltacharger_core.frames import (
+    CHARGER_BASE,
+    END_EFFECTOR,
+    LONGEST,
+    Pose,
+    TransformParameters,
+    composed,
+    lean,
+    rotation,
+)
 from deltacharger_core.texts import ON_MAP, cut, far
 from deltacharger_docking.codes import Code, Rejected, State
 from deltacharger_docking.observation import BasePose
@@ -55,27 +64,20 @@ class Others:
         node: owns clients and subscription.
         navigate_to_pose: type of that action; None without navigation.
         parameters: of missions.
-        place: returns a detection in charger_base.
-        end_effector: full name of this frame.
+        transforms: how the charger's frames are named.
     """
 
     def __init__(
-        self,
-        node: Node,
-        navigate_to_pose: Any,
-        parameters: MissionParameters,
-        place: Callable[[Any], Any],
-        end_effector: str,
+        self, node: Node, navigate_to_pose: Any, parameters: MissionParameters, transforms: TransformParameters
     ) -> None:
-        self._place = place
-        self._end_effector = end_effector
+        self._charger_base, self._end_effector = transforms.named(CHARGER_BASE), transforms.named(END_EFFECTOR)
         self._navigate_to_pose = navigate_to_pose
         self._parameters = parameters
         self._lock = threading.Lock()
         self._replies: list[TaskReply] = []
         self._docking: DockingReport | None = None
         self._delivered = 0.0  # J, by earlier dockings of this mission
-        self.dock_result = unknown_dock(end_effector)
+        self.dock_result = unknown_dock(self._end_effector)
         self._detector: Any = node.create_client(DetectElectrodes, Task.DETECT.value, qos_profile=SERVICE)
         self._callers = {
             task: ActionCaller(node, kind, task.value, self._on_end(read), _LOST_TIMEOUT)
@@ -129,7 +131,8 @@ class Others:
             self._put(read_detection(request.number, None))
             return
         future = self._detector.call_async(DetectElectrodes.Request(timeout=duration(request.timeout)))
-        future.add_done_callback(lambda done: self._put(read_detection(request.number, result_of(done), self._place)))
+        frame = self._charger_base
+        future.add_done_callback(lambda done: self._put(read_detection(request.number, result_of(done), frame)))
 
     def _message(self, request: TaskRequest) -> Any:
         if request.task is Task.UNDOCK:
@@ -194,25 +197,19 @@ def read_drive(number: int, end: End, result: Any, feedback: Any) -> TaskReply:
     return TaskReply(number, end, message=message, place=None if feedback is None else place(feedback.current_pose))
 
 
-def read_detection(number: int, answer: Any, place: Callable[[Any], Any] = lambda detection: detection) -> TaskReply:
-    """Return the reply of detect_electrodes.
+def read_detection(number: int, answer: Any, frame: str = CHARGER_BASE) -> TaskReply:
+    """Return the reply of detect_electrodes; None = there was none. `frame` is the full name of charger_base.
 
     An implausible detection counts as failed, so that the robot is not sent to it.
-
-    Args:
-        number: of the request.
-        answer: None if there was none.
-        place: returns a detection in charger_base.
     """
     if answer is None:
         return TaskReply(number, End.LOST)
     if not answer.success:
         return TaskReply(number, End.FAILED, message=cut(answer.message))
     try:
-        detection = place(answer.detection)
-        if problem := far(_numbers(detection.pose.pose.position)):
+        if problem := far(_numbers(answer.detection.pose.pose.position)):
             return TaskReply(number, End.FAILED, message=f"the detection's place: {problem}")
-        return TaskReply(number, End.DONE, electrodes=seen(detection, age=0.0))
+        return TaskReply(number, End.DONE, electrodes=seen(answer.detection, 0.0, frame))
     except ValueError as error:
         return TaskReply(number, End.FAILED, message=str(error))
 

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from rclpy.context import Context
 from std_srvs.srv import Trigger
 
+from deltacharger_core.frames import TransformParameters
 from deltacharger_docking.codes import TactileStale
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import Command, DockingOutcome, Observation, Request, Service
@@ -163,7 +164,7 @@ class RecordingCharger(ArmGuest):
         self.frames: list[TactileFrame] = []
         self._since = math.inf  # ns by the ROS clock
         self._inputs = Inputs(self.node, Log(self.node))
-        self._calls = Services(self.node)
+        self._calls = Services(self.node, TransformParameters())
         self.node.create_subscription(TactileFrame, "tactile_frame", self._on_frame, SENSOR)
         self._tare: Any = self.node.create_client(Trigger, "tare", qos_profile=SERVICE)
         self.serve()

@@ -15,7 +15,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
-from deltacharger_core.frames import IDENTITY, product, rotation
+from deltacharger_core.frames import IDENTITY, TransformParameters, product, rotation
 from deltacharger_core.parameters import ParameterError
 from deltacharger_core.texts import MESSAGE_MAX
 from deltacharger_docking.arm import Planner
@@ -119,6 +119,7 @@ def test_a_goal_with_more_lean_than_30_degrees_is_refused() -> None:
 def detection(numbers: tuple[float, ...], roll: float, variances: tuple[float, ...]) -> ElectrodeDetection:
     """Return a detection of that orientation with variances of the rotations about x, y and z, rad²."""
     message = ElectrodeDetection(roll=roll)
+    message.header.frame_id = "charger_base"
     message.pose.pose.position.z, message.pose.pose.orientation = 0.08, quaternion(numbers)
     for index, variance in zip((21, 28, 35), variances, strict=True):
         message.pose.covariance[index] = variance
@@ -132,6 +133,11 @@ def test_a_detection_gives_its_lean_with_its_error() -> None:
     assert found.yaw == pytest.approx(4.0 * DEGREE)
     stddevs = found.pitch_stddev, found.yaw_stddev, found.roll_stddev, found.age
     assert stddevs == pytest.approx((0.01, 0.02, 0.03, 0.5))
+
+
+def test_a_detection_in_another_frame_is_refused() -> None:
+    with pytest.raises(ValueError, match="'charger_base', not in left/charger_base"):
+        io.seen(detection(turned(), 0.0, (0.01, 0.01, 0.01)), 0.0, "left/charger_base")
 
 
 @pytest.mark.parametrize("variance", [math.nan, 0.0])
@@ -179,7 +185,7 @@ def node(context: Any, namespace: str, spin: Spin) -> Node:
 
 @pytest.fixture
 def services(node: Node) -> Services:
-    return Services(node)
+    return Services(node, TransformParameters())
 
 
 def reply(services: Services) -> Reply:
@@ -250,6 +256,7 @@ def test_pending_requests_of_a_failed_goal_are_not_sent(node: Node, services: Se
 def test_a_contradictory_detection_fails_with_its_reason(node: Node, services: Services) -> None:
     def lie(request: Any, response: Any) -> Any:
         response.success, response.detection.roll = True, 0.1  # beside an orientation without a roll
+        response.detection.header.frame_id = "charger_base"
         return response
 
     node.create_service(DetectElectrodes, "detect_electrodes", lie, callback_group=ReentrantCallbackGroup())

@@ -45,6 +45,7 @@ def test_a_pose_becomes_a_place_of_finite_numbers_or_none() -> None:
 @pytest.mark.parametrize("x", [math.nan, math.inf, -1e308, 1000.0])
 def test_the_robot_is_not_sent_to_implausible_electrodes(x: float) -> None:
     answer = DetectElectrodes.Response(success=True)
+    answer.detection.header.frame_id = "charger_base"
     answer.detection.pose.pose.position.x = x
     reply = io.read_detection(1, answer)
     assert (reply.end, reply.electrodes) == (End.FAILED, None)
@@ -79,6 +80,7 @@ def test_a_suggested_base_pose_is_read_with_its_yaw_and_an_invalid_yaw_gives_non
 
 def test_a_detection_is_read_with_its_lean_and_a_contradictory_one_fails() -> None:
     answer = DetectElectrodes.Response(success=True)
+    answer.detection.header.frame_id = "charger_base"
     seen = answer.detection.pose
     seen.pose.orientation.y, seen.pose.orientation.w = math.sin(0.05), math.cos(0.05)
     seen.covariance[28] = 0.02**2

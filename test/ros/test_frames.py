@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 import random
 import sys
@@ -15,13 +14,12 @@ from typing import Any
 
 import pytest
 from builtin_interfaces.msg import Time as Stamp
-from deltacharger.msg import ElectrodeDetection
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 
-from deltacharger_core.frames import IDENTITY, Pose, TransformParameters, apart, composed, inverted, rotation
+from deltacharger_core.frames import IDENTITY, Pose, TransformParameters, apart, composed, inverted
 from deltacharger_docking.parameters import DockingNodeParameters
-from deltacharger_docking.ros.messages import electrodes, in_charger_base, seen
+from deltacharger_docking.ros.messages import electrodes
 from deltacharger_ros import frames as frames_module
 from deltacharger_ros.frames import Contradiction, Frames, TransformError, UnknownFrame
 
@@ -306,30 +304,3 @@ def test_two_chargers_of_one_robot_have_separate_frames(robot: Robot, make: Make
     with pytest.raises(UnknownFrame, match=r"'charger_base'.*left/charger_base"):
         left.charger_base_in("charger_base")
     assert close(left.charger_base_in("right/charger_base"), composed(inverted(other), MOUNT))
-
-
-def test_a_detection_in_the_cameras_frame_is_read_in_charger_base(robot: Robot, make: Make) -> None:
-    frames = make()
-    camera: Pose = (0.0, 0.12, -0.12, 0.0, -0.2669335818958115, 0.9637149282107609, 0.0)
-    robot.fix("charger_base", "camera", camera)
-    target: Pose = (0.01, -0.02, 0.2, *composed(IDENTITY, (0, 0, 0, 0.0, math.sin(0.02), 0.0, math.cos(0.02)))[3:])
-    turned = composed(inverted(camera), target)
-    message = ElectrodeDetection()
-    message.header.frame_id = "camera"
-    message.pose.pose = stamped(turned, "camera").pose
-    message.pose.covariance[21] = message.pose.covariance[28] = message.pose.covariance[35] = 0.0004
-    axes = rotation(*turned[3:])
-    message.roll = math.atan2(axes[1][0], axes[0][0])
-    await_frames(frames, "camera")
-    found = seen(in_charger_base(message, frames), 0.0)
-    assert found.position == pytest.approx(target[:3], abs=EXACT)
-    assert (found.roll, found.yaw, found.pitch) == pytest.approx((0.0, 0.04, 0.0), abs=EXACT)
-    assert (found.roll_stddev, found.yaw_stddev) == pytest.approx((0.02, 0.02))
-    for roll, named in ((math.nan, "not finite"), (message.roll + 0.01, "contradicts itself")):
-        wrong = copy.deepcopy(message)
-        wrong.roll = roll
-        with pytest.raises(ValueError, match=named):
-            in_charger_base(wrong, frames)
-    message.header.frame_id = "another_camera"
-    with pytest.raises(UnknownFrame, match="another_camera"):
-        in_charger_base(message, frames)
