@@ -20,12 +20,6 @@ COMMANDS = [
 ]
 
 
-def test_a_rate_below_0_1_or_above_1000_hz_is_refused() -> None:
-    bench = Bench()
-    for hz, error in ((0.1, 0), (0.099, 1), (1000.1, 1), (math.nan, 1), (math.inf, 1), (1000.0, 0)):
-        assert bench.error(PacketType.RATE, struct.pack("<f", hz)) == error
-
-
 @pytest.mark.parametrize(("flags", "format"), [(1, 0), (2, 0), (128, 0), (0, 1), (0, 2), (0, 200), (3, 3)])
 def test_a_packet_with_flags_or_a_format_is_refused_as_a_bad_payload(flags: int, format: int) -> None:
     bench = Bench()
@@ -66,27 +60,3 @@ def test_a_boot_resets_everything() -> None:
     bench.send(PacketType.START)
     frame = tactile(bench.run(0.1))[0]
     assert (frame.sequence, frame.flags) == (0, 0)
-
-
-def test_a_late_poll_sends_all_samples_and_a_very_late_one_flags_overrun() -> None:
-    bench = Bench()
-    bench.send(PacketType.START)
-    bench.run(0.1)
-    bench.now += 0.1
-    late = tactile(bench.take(bench.board.poll(bench.now)))
-    assert len(late) == pytest.approx(12, abs=1)
-    assert not any(p.flags & 2 for p in late)
-    bench.now += 10.0
-    flood = tactile(bench.take(bench.board.poll(bench.now)))
-    assert len(flood) == 16
-    assert [bool(p.flags & 2) for p in flood] == [True] + [False] * 15
-    assert flood[0].sequence - late[-1].sequence == pytest.approx(1200 - 15, abs=2)
-
-
-@pytest.mark.parametrize("kind", ["drop", "corrupt", "truncate", "garbage", "duplicate"])
-def test_wire_faults_affect_the_selected_packets(kind: str) -> None:
-    bench = Bench()
-    bench.board.faults.inject(kind, 2, PacketType.POWER)
-    intact = sum(p.type == PacketType.POWER for p in bench.run(1.0))
-    expected = {"drop": 18, "corrupt": 18, "truncate": 18, "garbage": 20, "duplicate": 22}[kind]
-    assert intact == expected

@@ -34,20 +34,6 @@ def test_a_probe_is_answered_when_measured_and_no_other_runs_meanwhile() -> None
     assert (math.isnan(ohm), volt) == (True, 24.0)
 
 
-def test_heartbeat_loss_opens_within_100_ms_and_latches_fault_8() -> None:
-    bench = Bench().closed()
-    bench.beating = False
-    bench.send(PacketType.HEARTBEAT)
-    silent_since = bench.now
-    while bench.board.contactor_commanded:
-        bench.now += bench.board.next_event(bench.now) + 1e-6
-        bench.board.poll(bench.now)
-    assert 0.09 < bench.now - silent_since < 0.1005
-    assert not bench.plant.read_power().closed
-    bench.run(0.06)
-    assert bench.power().fault == BoardFault.HEARTBEAT_LOST
-
-
 @pytest.mark.parametrize(("gap", "survives"), [(0.090, True), (0.100, False), (0.15, False)])
 def test_a_gap_between_heartbeats_of_90_ms_is_survived_and_one_of_100_ms_is_not(gap: float, survives: bool) -> None:
     bench = Bench().closed()
@@ -57,14 +43,6 @@ def test_a_gap_between_heartbeats_of_90_ms_is_survived_and_one_of_100_ms_is_not(
         bench.run(gap)
     assert bench.board.contactor_commanded == survives
     assert bench.board.fault == (BoardFault.NONE if survives else BoardFault.HEARTBEAT_LOST)
-
-
-def test_a_missing_heartbeat_while_open_is_no_fault() -> None:
-    bench = Bench().closed()
-    bench.send(CONTACTOR, OPEN)
-    bench.beating = False
-    bench.run(0.5)
-    assert bench.power().fault == 0
 
 
 @pytest.mark.parametrize("fault", [1, 2, 4, 5, 6, 9])
@@ -131,14 +109,6 @@ def test_clearing_a_weld_clears_nothing_else() -> None:
     assert bench.error(CONTACTOR, CLEAR_WELD) == 0  # there is none: an answer that was lost is asked for again
 
 
-def test_no_probe_begins_while_current_flows() -> None:
-    bench = Bench()
-    for current, error in ((0.5, 3), (-0.5, 3), (0.49, 0)):
-        bench.plant.measured = {"current": current}
-        assert bench.error(PROBE, wait=0.0 if error else 0.2) == error
-        bench.send(CONTACTOR, OPEN)
-
-
 @pytest.mark.parametrize(
     ("port", "dead"),
     [
@@ -157,18 +127,6 @@ def test_a_bad_probe_forbids_a_close_but_sets_no_fault(port: dict[str, float], d
     assert bench.error(CONTACTOR, encode_close(LIMITS._replace(dead=dead))) == 3
     bench.run(0.2)
     assert (bench.power().contactor_closed, bench.power().fault) == (False, 0)
-
-
-def test_a_persisting_fault_is_latched_again_at_once_and_the_first_one_is_kept() -> None:
-    bench = Bench()
-    bench.plant.detected = BoardFault.SHORT_CIRCUIT
-    bench.run(0.11)
-    bench.board.trip(BoardFault.OVER_CURRENT)
-    assert bench.board.fault == BoardFault.SHORT_CIRCUIT
-    bench.send(CONTACTOR, OPEN)
-    assert bench.board.fault == 0
-    bench.run(0.02)  # before the next POWER
-    assert bench.board.fault == BoardFault.SHORT_CIRCUIT
 
 
 def test_an_opening_ends_a_running_probe_even_if_another_follows_it() -> None:
@@ -196,24 +154,6 @@ def test_a_close_ends_a_running_probe_before_the_battery_is_connected() -> None:
     assert bench.power().contactor_closed
 
 
-def test_a_refused_close_does_not_end_a_running_probe() -> None:
-    bench = Bench()
-    bench.beating = True
-    bench.run(0.01)
-    bench.send(PROBE)
-    probing = bench.sequence
-    assert bench.close() == 3
-    assert answers(bench.run(0.3)) == [(PROBE, 0, probing)]
-
-
-@pytest.mark.parametrize(("flags", "format"), [(0, 0), (1, 0), (0, 1)])
-def test_a_heartbeat_with_flags_or_a_format_is_ignored(flags: int, format: int) -> None:
-    bench = Bench()
-    assert bench.probe().error == 0
-    bench.send(PacketType.HEARTBEAT, flags=flags, format=format)
-    assert bench.close() == (3 if flags or format else 0)
-
-
 def charging(port: dict[str, float], **limits: float) -> Bench:
     """A board that closes on this port within these limits."""
     bench = Bench()
@@ -234,26 +174,6 @@ def test_current_and_voltage_stay_within_the_limits_of_the_closing(
     assert bench.error(CONTACTOR, encode_limit(2.0)) == 0
     bench.run(0.1)
     assert bench.power().charge_current == pytest.approx(2.0)
-
-
-@pytest.mark.parametrize(
-    "payload",
-    [
-        b"\1",
-        encode_close(LIMITS)[:-1],
-        *(encode_close(LIMITS._replace(current=value)) for value in (0.0, 31.0, math.nan)),
-        *(encode_close(LIMITS._replace(voltage=value)) for value in (0.0, 61.0, math.nan)),
-        *(encode_close(LIMITS._replace(gap_time=value)) for value in (0.0, 131.0, math.nan)),
-        encode_close(LIMITS._replace(start_time=math.inf)),
-        encode_limit(math.nan),
-    ],
-)
-def test_limits_out_of_their_bounds_are_a_bad_payload(payload: bytes) -> None:
-    bench = Bench()
-    bench.beating = True
-    bench.probe()
-    assert bench.error(CONTACTOR, payload) == 1
-    assert bench.error(CONTACTOR, encode_limit(5.0)) == 4, "it is not closed"
 
 
 @pytest.mark.parametrize(("gap", "survives"), [(0.15, True), (0.3, False)])

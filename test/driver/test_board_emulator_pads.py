@@ -42,34 +42,11 @@ def test_a_tare_is_refused_in_contact_even_if_contact_begins_during_it() -> None
     assert bench.error(PacketType.TARE, wait=0.05) == 0
 
 
-def test_contact_counts_after_the_present_tare_and_ignores_dead_taxels() -> None:
-    bench = Bench(offset=0.9)
-    assert bench.error(PacketType.TARE, wait=0.05) == 0
-    bench.plant.left[5, 5] = 0.5  # 1.4 N raw
-    assert bench.error(PacketType.TARE, wait=0.05) == 0
-    bench.plant.left[5, 5] = 9.0
-    bench.board.set_dead(0, 5, 5)
-    assert bench.error(PacketType.TARE, wait=0.05) == 0
-
-
 def frame(bench: Bench) -> npt.NDArray[np.float32]:
     """Forces of a new frame, (2, 10, 10) N."""
     bench.send(PacketType.START)
     packet = tactile(bench.run(0.1))[-1]
     return np.stack(decode_samples(packet.payload, packet.format))
-
-
-def test_a_taxel_dead_for_part_of_a_tare_is_tared_by_its_live_samples() -> None:
-    bench = Bench(offset=0.5, noise=0.0)
-    bench.send(PacketType.TARE)
-    bench.run(0.01)
-    bench.board.set_dead(0, 3, 4)
-    bench.run(0.01)
-    bench.board.set_dead(0, 3, 4, False)
-    assert [ack.error for ack in acks(bench.run(0.02))] == [0]
-    assert frame(bench) == pytest.approx(0.0, abs=0.003)
-    bench.plant.left[3, 4] = 2.0
-    assert frame(bench)[0, 3, 4] == pytest.approx(2.0, abs=0.003)
 
 
 def test_a_taxel_dead_during_a_tare_stays_unknown_until_the_next() -> None:
@@ -80,15 +57,3 @@ def test_a_taxel_dead_during_a_tare_stays_unknown_until_the_next() -> None:
     assert np.argwhere(np.isnan(frame(bench))).tolist() == [[1, 7, 2]]
     assert bench.error(PacketType.TARE, wait=0.05) == 0
     assert frame(bench) == pytest.approx(0.0, abs=0.003)
-
-
-def test_a_taxel_without_a_baseline_counts_as_contact_above_its_pads_median() -> None:
-    bench = Bench(offset=0.9, noise=0.0)
-    bench.board.set_dead(0, 5, 5)
-    assert bench.error(PacketType.TARE, wait=0.05) == 0
-    bench.board.set_dead(0, 5, 5, False)
-    bench.plant.left[5, 5] = 1.1
-    assert bench.error(PacketType.TARE) == 4
-    bench.plant.left[5, 5] = 0.9  # 1.8 N raw
-    assert bench.error(PacketType.TARE, wait=0.05) == 0
-    assert frame(bench)[0, 5, 5] == pytest.approx(0.0, abs=0.003)

@@ -3,16 +3,12 @@
 
 from __future__ import annotations
 
-import errno
-import itertools
 import math
-import os
 import struct
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from unittest.mock import Mock
 
 import pytest
 
@@ -32,12 +28,12 @@ from deltacharger_driver.board.receiver import BoardReceiver, BoardRequests
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.errors import NoAnswer, PortGone
 from deltacharger_driver.packets import Packet, PacketDecoder, encode_packet
-from deltacharger_driver.ports import PseudoTerminal, RawPort
+from deltacharger_driver.ports import PseudoTerminal
 
 from ..chargers import patience
 from ..emulated_ports import Babbler
 from ..plants import BenchPlant
-from ..waiting import host, wait_until
+from ..waiting import wait_until
 
 LIMITS = ChargeLimits(10.0, 29.4)
 
@@ -108,14 +104,6 @@ def test_a_command_with_a_lost_answer_is_repeated_and_a_repeated_close_succeeds(
     assert rig.board.contactor_commanded
     with pytest.raises(CommandRefused):
         link.contactor(True, LIMITS)
-
-
-def test_a_missing_answer_is_an_error_after_a_deadline(rig: Rig, link: BoardLink) -> None:
-    rig.board.faults.silent = True
-    began = time.monotonic()
-    with pytest.raises(NoAnswer, match="START"):
-        link.start()
-    assert 0.5 <= time.monotonic() - began < host(1.0)
 
 
 def test_frames_of_a_rebooted_board_keep_rising_and_are_untared(rig: Rig, link: BoardLink) -> None:
@@ -254,19 +242,3 @@ def test_a_sending_board_that_does_not_answer_is_distinguished_from_a_dead_one(r
     rig.board.faults.deaf = True
     with pytest.raises(NoAnswer, match="other packets"):
         rig.link.open()
-
-
-@pytest.mark.parametrize(
-    "hang_up",
-    [OSError(errno.EIO, "I/O"), b""],
-    ids=["OSError", "end of file"],
-)
-def test_every_kind_of_hang_up_is_one_error(
-    board_port: str, monkeypatch: pytest.MonkeyPatch, hang_up: Exception | bytes
-) -> None:
-    port = RawPort(board_port, 1_000_000)
-    with monkeypatch.context() as patch:
-        patch.setattr(os, "read", Mock(side_effect=itertools.repeat(hang_up)))  # returns or raises it
-        with pytest.raises(PortGone):
-            wait_until(lambda: port.read(1.0))
-    port.close()

@@ -256,19 +256,6 @@ def test_an_open_does_not_wait_for_a_probe_and_voids_it(charger: Charger) -> Non
     assert math.isinf(charger.guard.probe_record()[1])
 
 
-def test_a_close_that_must_be_refused_is_refused_during_a_probe(charger: Charger) -> None:
-    refusals = []
-
-    def refuse() -> None:
-        with pytest.raises(LeaseRefused, match="holder"):
-            charger.close(holder="")
-        refusals.append(charger.guard._probing.locked())
-
-    charger.on_probe = refuse
-    charger.guard.probe()
-    assert refusals == [True]
-
-
 def test_a_close_waits_for_a_running_probe(charger: Charger) -> None:
     closing = threading.Thread(target=charger.close)
 

@@ -6,10 +6,8 @@ from __future__ import annotations
 import random
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from deltacharger_core.real_time import Lateness, RateMeter
+from deltacharger_core.real_time import RateMeter
 from deltacharger_driver.board.receiver import DeviceClock, SequenceUnwrapper
 
 from .virtual_line import Clock
@@ -65,23 +63,3 @@ def test_the_rate_counts_since_the_last_call() -> None:
     clock.now += 0.1
     assert meter.rate() == pytest.approx(10.0)
     assert meter.late == 2  # since the start
-
-
-@given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=512), st.floats(0.0, 1.0))
-def test_a_percentile_is_a_value_that_its_share_does_not_exceed(values: list[float], share: float) -> None:
-    lateness = Lateness()
-    for value in values:
-        lateness.note(value)
-    found = lateness.percentile(share)
-    assert found in values
-    assert sum(value <= found for value in values) >= share * len(values) - 1e-9
-    assert lateness.percentile(1.0) == lateness.largest == max(values)
-
-
-def test_old_values_are_dropped_but_the_largest_is_kept() -> None:
-    lateness = Lateness()
-    lateness.note(1.0)
-    for _ in range(600):
-        lateness.note(0.001)
-    assert lateness.percentile(1.0) == 0.001
-    assert lateness.largest == 1.0

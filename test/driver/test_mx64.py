@@ -60,15 +60,6 @@ def test_the_model_reaches_the_limit_when_predicted(current: float) -> None:
     assert elapsed == pytest.approx(promised, abs=1.5)
 
 
-def test_it_cools_without_current() -> None:
-    model = ThermalModel(MX_64)
-    model.update(3.0, 60.0)
-    hot = model.heat
-    model.update(0.0, 4000.0)
-    assert model.heat == pytest.approx(hot / math.e)
-    assert model.reserve() == math.inf
-
-
 def test_missing_data_never_cool_the_model() -> None:
     model = ThermalModel(MX_64)
     model.update(2.0, 10.0)

@@ -135,15 +135,6 @@ def test_an_unplugged_device_keeps_working_and_is_found_again_by_its_link(tmp_pa
             assert port.read(5) == b"hello"
 
 
-def test_a_second_terminal_on_the_same_link_keeps_it_when_the_first_ends(tmp_path: Path) -> None:
-    first = PseudoTerminal(Echo(), tmp_path / "port").start()
-    second = PseudoTerminal(Echo(), tmp_path / "port").start()
-    first.stop()
-    assert os.path.exists(tmp_path / "port")
-    second.stop()
-    assert not os.path.lexists(tmp_path / "port")
-
-
 @pytest.mark.parametrize("speeds", [(3, 1, 3), rest((0, 1, 2)), rest((4, 5, 6))])
 def test_servos_are_found_at_the_speed_of_each(
     servos: ServoBusEmulator, servo_port: str, speeds: tuple[int, ...]

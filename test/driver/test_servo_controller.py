@@ -55,15 +55,6 @@ def test_an_order_that_waited_too_long_is_refused_with_its_age(rig: Rig) -> None
     assert waits.success
 
 
-def test_a_load_shows_as_current_and_as_reserve(rig: Rig) -> None:
-    rig.torque_on()
-    rig.send((0.0, START, (4.0, 4.0, 4.0)))
-    rig.arm.load[1] = -2.0 * TORQUE_CONSTANT
-    report = rig.until(lambda report: report.thermal_reserve[1] < 400 and report)
-    assert report.current[1] == pytest.approx(2.0, abs=0.1)
-    assert report.thermal_reserve[0] == math.inf
-
-
 @pytest.mark.parametrize(
     ("fail", "reason"),
     [
@@ -109,21 +100,6 @@ def test_a_single_lost_reply_does_not_stop_and_keeps_the_last_values(rig: Rig) -
     assert [math.isnan(report.angle[0]) for report in reports] == [False, False, True]
     assert math.isnan(reports[2].voltage[0])
     assert reports[2].torque_enabled[0]  # the last known
-
-
-def test_a_reply_lost_while_torque_goes_on_does_not_silence_the_bus(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    write = rig.controller.bus._link.write
-
-    def lossy(servo: int, name: str, value: int, hurry: bool = False) -> None:
-        if (servo, name, value) == (2, "torque_enable", 1):
-            rig.emulator.faults.next_reply("drop", 2)
-        write(servo, name, value, hurry)
-
-    monkeypatch.setattr(rig.controller.bus._link, "write", lossy)
-    rig.torque_on()
-    rig.cycle()
-    assert rig.controller.bus.counters.retries == 1
-    assert rig.controller.watchdog_trips == 0
 
 
 def test_reboot_is_by_request_only_and_leaves_torque_off(rig: Rig) -> None:
@@ -219,15 +195,6 @@ def test_a_contactor_that_stays_closed_does_not_keep_the_torque_on(rig: Rig) -> 
     assert any(severity == "warning" for severity, _ in rig.events)
 
 
-def test_torque_off_by_request_cuts_a_stop_short_once_the_contactor_is_open(rig: Rig) -> None:
-    rig.torque_on()
-    rig.controller.stop("a test")
-    begin = rig.clock()
-    assert rig.ask("torque_off").success
-    assert rig.clock() - begin < STOP_TIME
-    assert rig.cycle().phase is ServoPhase.OFF
-
-
 def shifted(by: float) -> tuple[float, ...]:
     return tuple(angle + by for angle in START)
 
@@ -249,21 +216,6 @@ def test_a_trajectory_is_followed_in_time_and_takes_effect_in_the_next_cycle(rig
     assert 0.45 <= rig.clock() - begin <= 1.5
     assert middle == sorted(middle, reverse=True)
     assert len(set(middle)) > 15
-
-
-def test_a_new_trajectory_starts_at_the_goal_where_the_old_one_was_cut(rig: Rig) -> None:
-    rig.torque_on()
-    rig.send((1.0, FAR))
-    rig.until(lambda report: rig.references()[0] > -0.4)
-    cut = rig.references()
-    rig.send()
-    rig.cycle()
-    rig.cycle()
-    held = rig.references()
-    assert held == pytest.approx(cut, abs=0.1)
-    rig.send((10.0, START))
-    rig.cycle()
-    assert rig.references() == pytest.approx(held, abs=0.02)
 
 
 def test_effort_bounds_the_current_and_does_not_outlive_its_trajectory(rig: Rig) -> None:
@@ -293,17 +245,6 @@ def test_after_a_pause_of_the_host_the_arm_resumes_from_where_it_stopped(rig: Ri
     assert rig.references() == pytest.approx(list(stopped), abs=0.05)
     assert rig.report.phase is ServoPhase.ON
     rig.until(lambda report: report.angle == pytest.approx(FAR, abs=3 * TICK))
-
-
-def test_a_pause_after_the_end_does_not_move_the_arm(rig: Rig) -> None:
-    rig.torque_on()
-    rig.send((0.0, shifted(0.4), (0.3, 0.3, 0.3)))
-    rig.cycle()
-    rig.pause()
-    for _ in range(5):
-        rig.cycle()
-    assert rig.references() == pytest.approx(list(rig.arm.angles), abs=0.02)
-    assert rig.references()[0] < START[0] + 0.35
 
 
 def test_repeated_pauses_of_the_host_stop_the_arm(rig: Rig) -> None:

@@ -10,102 +10,15 @@ from typing import Any
 
 import pytest
 
-from deltacharger_core.machine import TORQUE_CONSTANT
-from deltacharger_driver.emulators.servo import OK, RANGE, RESULT_FAIL
-from deltacharger_driver.packets import BROADCAST, PING, READ, REBOOT, SYNC_READ, SYNC_WRITE, WRITE
+from deltacharger_driver.packets import BROADCAST, PING, READ, SYNC_READ, SYNC_WRITE
 from deltacharger_driver.servos.bus import ServoPhase, ServoReport
 from deltacharger_driver.servos.controller import bus_entry
-from deltacharger_driver.servos.registers import REGISTERS, indirect_address, indirect_data
+from deltacharger_driver.servos.registers import REGISTERS
 from deltacharger_sim.charger.faults import Fault, Faults, Hardware
 
 from ..sim.fault_table import LEASE, SERVO_ROWS, Row
 from .servo_host import Host, parse, words
-from .servo_rig import OVERLOAD, Rig
-
-
-def torque_on(host: Host, *servos: int) -> None:
-    for servo in servos:
-        host.write(servo, "operating_mode", 5)
-        host.write(servo, "torque_enable", 1)
-
-
-def test_a_latched_error_switches_torque_off_and_only_a_reboot_clears_it(host: Host) -> None:
-    torque_on(host, 1)
-    host.bus.raise_hardware_error(1, OVERLOAD)
-    assert not host.arm.torque_enabled()[0]
-    assert host.read(1, "hardware_error") == OVERLOAD
-    assert host.ask(1, PING)[0][1] == 0x80
-    assert host.write(1, "torque_enable", 1) == RESULT_FAIL
-    assert host.ask(1, REBOOT)[0][0] == 1
-    assert host.ask(1, PING) == []
-    host.advance(0.5)
-    assert host.ask(1, PING)[0][1] == 0
-    assert host.read(1, "hardware_error") == 0
-    assert host.read(1, "operating_mode") == 5
-    assert host.write(1, "torque_enable", 1) == OK
-
-
-def test_heat_shuts_down_and_low_voltage_is_only_reported(host: Host) -> None:
-    torque_on(host, 1, 2)
-    host.arm.temperature[0] = 81.0
-    host.arm.voltage[1] = 9.0
-    assert host.read(1, "hardware_error") == 1 << 2
-    assert host.read(2, "hardware_error") == 1
-    assert host.arm.torque_enabled()[:2] == [False, True]
-    host.ask(1, REBOOT)
-    host.advance(0.5)
-    assert host.read(1, "hardware_error") == 1 << 2  # still hot
-    host.bus.servo(3).supply_limit = 9.0
-    assert host.read(3, "input_voltage") == 90
-    assert host.read(3, "hardware_error") == 1
-
-
-def test_a_reboot_loses_ram_and_indirect_addresses(host: Host) -> None:
-    host.ask(1, WRITE, words(indirect_address(0), 144, 145))
-    host.write(1, "bus_watchdog", 6)
-    host.ask(1, REBOOT)
-    host.advance(0.5)
-    assert host.ask(1, READ, words(indirect_data(0), 2))[0][2] == b"\0\0"
-    assert host.read(1, "bus_watchdog") == 0
-
-
-def test_the_watchdog_stops_the_servo_and_locks_its_goals(host: Host) -> None:
-    torque_on(host, 1)
-    host.write(1, "goal_current", 100)
-    host.write(1, "bus_watchdog", 6)
-    host.write(1, "goal_position", 2048)
-    host.advance(0.115)
-    host.read(1, "present_position")  # any instruction counts
-    host.advance(0.115)
-    assert host.arm.commands[0][1] == 0.0
-    host.advance(0.01)
-    on, reference, *_ = host.arm.commands[0]
-    assert on
-    assert reference == pytest.approx(host.arm.angles[0], abs=0.05)
-    assert reference < -0.1
-    assert host.read(1, "bus_watchdog") == 255
-    assert host.write(1, "goal_position", 2048) == RANGE
-    assert host.write(1, "goal_current", 10) == RANGE
-    assert host.write(1, "bus_watchdog", 6) == RANGE
-    assert host.write(1, "bus_watchdog", 0) == OK
-    assert host.arm.commands[0][1] == reference
-    assert host.write(1, "goal_position", 2048) == OK
-
-
-def test_the_supply_sags_under_load_and_the_error_that_this_latches_stays(host: Host) -> None:
-    host.arm.supply_resistance = 0.5
-    torque_on(host, 1, 2)
-    host.arm.load[0] = host.arm.load[1] = 2.0 * TORQUE_CONSTANT
-    host.advance(3.0)
-    assert host.read(1, "input_voltage") == pytest.approx(100, abs=1)
-    assert host.read(1, "hardware_error") == 0
-    host.arm.load[1] = 4.0 * TORQUE_CONSTANT
-    host.advance(3.0)
-    assert host.read(1, "input_voltage") < 95
-    host.arm.load[0] = host.arm.load[1] = 0.0
-    host.advance(3.0)
-    assert host.read(1, "input_voltage") == 120
-    assert host.read(1, "hardware_error") == 1
+from .servo_rig import Rig
 
 
 def test_replies_of_two_servos_with_one_id_collide(host: Host) -> None:
@@ -123,14 +36,6 @@ def test_replies_of_two_servos_with_one_id_collide(host: Host) -> None:
     host.send(BROADCAST, SYNC_WRITE, words(65, 1) + bytes((1, 1)))
     host.bus.alter(2, lambda servo: servo.table.set("id", 3))
     assert [host.read(servo, "led") for servo in (1, 2, 3)] == [1, 0, 1]
-
-
-def test_an_armed_watchdog_can_be_tripped_at_once(host: Host) -> None:
-    host.bus.alter(0, lambda servo: servo.trip_watchdog(host.now))
-    assert host.read(1, "bus_watchdog") == 0
-    host.write(1, "bus_watchdog", 6)
-    host.bus.alter(0, lambda servo: servo.trip_watchdog(host.now))
-    assert host.read(1, "bus_watchdog") == 255
 
 
 @pytest.mark.parametrize("row", SERVO_ROWS, ids=lambda row: row.name)

@@ -18,7 +18,7 @@ import pytest
 
 from deltacharger_core.servo_types import MX_64
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator, status
-from deltacharger_driver.errors import CorruptReply, DriverError, NoAnswer, PortGone, RangeError
+from deltacharger_driver.errors import CorruptReply, NoAnswer, PortGone, RangeError
 from deltacharger_driver.packets import sync_write_packet
 from deltacharger_driver.ports import PseudoTerminal
 from deltacharger_driver.servos.bus import UNKNOWN_AFTER, ServoBus, ServoReport
@@ -210,8 +210,3 @@ def test_requests_with_corrupt_replies_are_repeated(link: ServoLink, emulator: S
     emulator.faults.next_reply("corrupt", 1, 2)
     assert link.read(1, "input_voltage") == 120
     assert link.counters.corrupt + link.counters.timeouts == link.counters.retries == 2
-
-
-def test_a_speed_that_servos_lack_is_refused(line: Any) -> None:
-    with pytest.raises(DriverError, match="12345"):
-        ServoLink(line.path, 12345, handler=line.handler).open()

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -31,10 +30,6 @@ from .servo_rig import NAMES, START
 from .virtual_line import Clock, Line
 
 KINDS = pytest.mark.parametrize("kind", TYPES.values(), ids=lambda kind: kind.name)
-OTHER = replace(
-    MX_64, name="ZZ-1", model=9999, current_unit=1e-3, current_limit=3000, stall_torque=9.0, stall_current=2.5
-)
-"""A type that the product does not have."""
 
 
 class Arm(SimpleNamespace):
@@ -180,12 +175,6 @@ def test_a_mixture_is_refused_by_name(make: Callable[[ServoType], Arm]) -> None:
     assert len(caught.value.faults) == 1
     assert not bus.is_open
     assert arm.plant.torque_enabled() == [False] * 3
-
-
-def test_an_unknown_model_is_refused_by_its_number(make: Callable[[ServoType], Arm]) -> None:
-    arm = make(OTHER)
-    with pytest.raises(HandshakeError, match=r"servo 3 is model 9999, not MX-64 \(311\) or XM430-W350 \(1020\)"):
-        arm.bus().open()
 
 
 def test_servos_of_another_type_are_refused_at_a_reconnection(make: Callable[[ServoType], Arm]) -> None:

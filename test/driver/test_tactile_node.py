@@ -8,7 +8,6 @@ import threading
 import time
 from array import array
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -208,23 +207,6 @@ def test_late_orders_are_refused_with_their_age_but_never_an_opening(rig: Rig, m
         assert "2.3 s ago" in answer.message
     assert not rig.board.contactor_commanded
     assert rig.client.contactor(False).success
-
-
-def test_an_open_does_not_wait_for_a_probe(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    link, begun = rig.node._keeper.link, threading.Event()
-    measure = link.probe
-
-    def probe() -> Any:
-        begun.set()
-        return measure()
-
-    monkeypatch.setattr(link, "probe", probe)
-    with ThreadPoolExecutor(1) as pool:
-        answer = pool.submit(rig.client.probe)
-        assert begun.wait(DEADLINE), "a running probe"
-        assert rig.client.contactor(False).success
-    assert not answer.result().success  # the board, by its own clock, got the opening before the probe's end
-    assert math.isnan(answer.result().resistance)
 
 
 def status_of(rig: Rig, part: str) -> dict[str, str]:

@@ -141,14 +141,9 @@ def test_a_hold_is_always_accepted(servos: Arm, state: ContactorState) -> None:
 
 HOSTILE: dict[str, Callable[[JointTrajectory], Any]] = {  # each changes a good message, or returns its bytes
     "before 1970": lambda message: setattr(message.header.stamp, "sec", -1),
-    "far ahead": lambda message: setattr(message.header.stamp, "sec", 2**31 - 1),
     "an endless name": lambda message: setattr(message, "joint_names", ["x" * 100_000, *JOINTS[1:]]),
-    "5 MB of names": lambda message: setattr(message, "joint_names", ["x" * 1000] * 5000),
     "an endless frame_id": lambda message: setattr(message.header, "frame_id", "x" * 5_000_000),
-    "a million angles": lambda message: setattr(message.points[0], "positions", array("d", [0.0] * 1_000_000)),
     "no message": lambda message: b"\0\1\0\0" + b"\xff" * 40,
-    "half a message": lambda message: serialize_message(message)[:60],
-    "no bytes": lambda message: b"\0\1\0\0",
     "no text": lambda message: serialize_message(message).replace(JOINTS[0].encode(), b"\xff" * len(JOINTS[0])),
     "a length beyond the end": lambda message: serialize_message(message)[:12] + struct.pack("<I", 2**32 - 1),
 }

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deltacharger_driver.board.protocol import (
@@ -31,7 +31,7 @@ from deltacharger_driver.board.protocol import (
     encode_power,
     encode_samples,
 )
-from deltacharger_driver.packets import CobsError, Packet, PacketDecoder, cobs_decode, cobs_encode, encode_packet
+from deltacharger_driver.packets import Packet, PacketDecoder, cobs_decode, cobs_encode, encode_packet
 
 from ..marks import night
 from .codec_process import CodecProcess
@@ -148,29 +148,6 @@ def test_limits_are_decoded_and_refused_identically(
         assert not good
 
 
-@settings(max_examples=100)
-@given(st.binary(max_size=700))
-@example(b"")
-@example(b"\0")
-@example(b"\3\1\0")
-@example(b"\xff" + b"\7" * 254 + b"\1")
-def test_cobs_is_decoded_identically(codec: CodecProcess, stuffed: bytes) -> None:
-    try:
-        expected = b"\1" + cobs_decode(stuffed)
-    except CobsError:
-        expected = b"\0"
-    assert codec.ask("u", stuffed) == expected
-
-
-def test_packets_survive_a_cut_at_every_byte(codec: CodecProcess) -> None:
-    source = random.Random(1)
-    sent = [random_packet(source, size=size) for size in (0, 20, 260)]
-    stream = b"".join(encode_packet(packet) for packet in sent)
-    for cut in range(len(stream) + 1):
-        assert assert_same(codec, [stream[:cut], stream[cut:]]) == sent
-    assert assert_same(codec, [stream[i : i + 1] for i in range(len(stream))]) == sent
-
-
 @pytest.mark.parametrize(
     ("wire", "counters"),
     [
@@ -183,13 +160,6 @@ def test_another_major_version_and_reserved_bytes_are_dropped_and_counted(
 ) -> None:
     assert assert_same(codec, [wire, encode_packet(NEXT)]) == [NEXT]
     assert codec.counters() == (1, 0, 0, 0, *counters)
-
-
-@pytest.mark.parametrize("length", [1022, 1023, 1024, 1025, 5000])
-def test_pieces_up_to_the_longest_are_decoded_and_longer_ones_counted(codec: CodecProcess, length: int) -> None:
-    piece = cobs_encode(bytes(1 + index % 255 for index in range(length)))[:length]
-    stream = b"\0" + piece + b"\0" + encode_packet(NEXT)
-    assert assert_same(codec, [stream]) == assert_same(codec, [bytes([byte]) for byte in stream])
 
 
 def mutate(source: random.Random, wire: bytearray) -> bytearray:

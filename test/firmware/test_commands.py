@@ -15,24 +15,14 @@ from deltacharger_driver.board.protocol import (
     FLAG_TARED,
     AckError,
     PacketType,
-    decode_hello,
     decode_samples,
     encode_close,
     encode_limit,
 )
 
-from ..marks import night
-from .bench import LIMITS, MS, Bench, acks, tactile
+from .bench import LIMITS, MS, Bench, tactile
 
 NewBench = Callable[..., Bench]
-
-
-@pytest.mark.parametrize("thousands", [2, night(70)])
-def test_sequences_count_per_type_and_wrap(bench: Bench, thousands: int) -> None:
-    for _ in range(thousands):
-        bench.send(*[(PacketType.PING, b"")] * 1000)
-    pings = [packet.sequence for packet in bench.packets if packet.type == PacketType.PING]
-    assert pings == [index % 65536 for index in range(1000 * thousands)]
 
 
 def frame(bench: Bench) -> tuple[int, np.ndarray[tuple[int, ...], np.dtype[np.float32]]]:
@@ -75,11 +65,6 @@ def test_one_newton_on_one_taxel_is_contact_and_a_dead_pad_is_none(
         forces[157 : 157 + taxels] = force
         load(bench, forces)
         assert bench.ask(PacketType.TARE, wait=40 * MS).error == error
-
-
-def test_a_second_tare_is_refused_while_one_runs_and_each_gets_its_answer(bench: Bench) -> None:
-    packets = bench.send((PacketType.TARE, b""), (PacketType.TARE, b"")) + bench.run(40 * MS)
-    assert [(ack.error, ack.sequence) for ack in acks(packets)] == [(4, 2), (0, 1)]
 
 
 def test_the_heartbeat_still_counts_in_a_flood_of_garbage(bench: Bench) -> None:
@@ -133,11 +118,3 @@ def test_power_carries_mean_and_least_current_since_the_last(bench: Bench) -> No
     bench.set("force current 3")
     bench.run(50 * MS)
     assert bench.power()[2::3] == (3.0, 3.0)
-
-
-@pytest.mark.parametrize(("up", "voltage"), [(1, math.nan), (0, 25.25)])
-def test_hello_declares_the_stage(new_bench: NewBench, up: int, voltage: float) -> None:
-    packets = new_bench(steps_up=up, stage_voltage=voltage).packets
-    (hello,) = [decode_hello(packet.payload) for packet in packets if packet.type == PacketType.HELLO]
-    assert (hello.minor, hello.steps_up) == (2, bool(up))
-    assert hello.stage_voltage == pytest.approx(voltage, nan_ok=True)

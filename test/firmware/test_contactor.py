@@ -19,25 +19,12 @@ NewBench = Callable[..., Bench]
 CLOSE, PROBE = (PacketType.CONTACTOR, encode_close(LIMITS)), (PacketType.PROBE, b"")
 
 
-def test_nothing_is_driven_after_a_boot(bench: Bench) -> None:
-    bench.charge().reboot()
-    bench.check(contactor=0, precharge=0, probe=0, limit=0, commanded=0, fault=0)
-
-
 def test_the_heartbeats_deadline_is_exact_to_the_microsecond(bench: Bench) -> None:
     bench.charge().beat(last=True)
     bench.run(100 * MS - 1)
     bench.check(contactor=1)
     bench.run(1)
     bench.check(contactor=0, fault=BoardFault.HEARTBEAT_LOST)
-
-
-def test_a_board_that_sleeps_wakes_for_the_heartbeats_deadline(bench: Bench) -> None:
-    bench.charge().beating = False
-    bench.run(300)
-    bench.beat()
-    bench.run(100 * MS - 100)
-    assert bench.host.idle <= 100
 
 
 def test_a_heartbeat_after_its_deadline_during_a_sampling_is_too_late(bench: Bench) -> None:
@@ -48,14 +35,6 @@ def test_a_heartbeat_after_its_deadline_during_a_sampling_is_too_late(bench: Ben
     bench.jump(bench.now + 2 * MS)  # a frame is due, and ends 104 ms after the heartbeat
     bench.check(contactor=0)
     bench.beat()
-    bench.check(fault=BoardFault.HEARTBEAT_LOST)
-
-
-def test_slow_commands_do_not_hide_a_lost_heartbeat(bench: Bench) -> None:
-    bench.charge().beat(last=True)
-    bench.set("press 8", "scan_time 10000")
-    bench.run(95 * MS)
-    bench.send((PacketType.TARE, b""), (PacketType.HEARTBEAT, b""))
     bench.check(fault=BoardFault.HEARTBEAT_LOST)
 
 
@@ -89,13 +68,6 @@ def test_samplings_between_two_polls_do_not_delay_the_opening(new_bench: NewBenc
         bench.now = int(bench.state("now"))
         bench.run(200 * MS)
         bench.open()
-
-
-@pytest.mark.parametrize("payload", [b"", b"x"])
-def test_a_heartbeat_is_never_answered_and_counts_only_when_empty(bench: Bench, payload: bytes) -> None:
-    bench.probe()
-    assert bench.send((PacketType.HEARTBEAT, payload)) == []
-    assert bench.close_contactor() == (AckError.INTERLOCK if payload else AckError.DONE)
 
 
 def test_a_heartbeat_lost_during_precharge_also_opens(bench: Bench) -> None:
@@ -160,17 +132,6 @@ def test_probe_is_refused_while_closed_while_ramping_down_and_while_one_runs(ben
     assert bench.ask(*PROBE).error == AckError.NOT_NOW
     (answer,) = acks(bench.run(200 * MS))
     assert answer.error == 0
-
-
-def test_no_probe_begins_before_the_coil_is_off(bench: Bench) -> None:
-    """Contacts that open early could close again while the coil is still driven."""
-    bench.set(*STRONG)
-    bench.charge().open()
-    bench.set("drop 1")
-    bench.check(contactor=0)
-    assert bench.ask(*PROBE).error == AckError.NOT_NOW
-    bench.run(1 * MS)
-    assert bench.probe().error == 0
 
 
 def test_energy_never_depends_on_a_live_host(bench: Bench) -> None:

@@ -79,34 +79,3 @@ def test_what_protects_a_live_port_protects_a_dead_one(
         asleep.check(contactor=1)
     asleep.run(4 * MS)
     asleep.check(contactor=0, fault=fault)
-
-
-def test_a_started_port_must_keep_its_voltage(asleep: Bench) -> None:
-    asleep.set(*AWAKE)
-    asleep.run(1 * S)
-    asleep.set("force target 9.9")
-    asleep.run(102 * MS)
-    asleep.check(contactor=0, fault=BoardFault.VOLTAGE_OUT_OF_RANGE)
-
-
-def test_a_current_that_flows_from_the_first_instant_starts_no_sooner(bench: Bench) -> None:
-    bench.set("probe inf 0", "resistance 0.1", "force current 0.4")
-    bench.closed(DEAD).run(190 * MS)
-    bench.check(limit=0.5)
-    bench.run(50 * MS)
-    assert bench.state("limit") > 0.5
-
-
-@pytest.mark.parametrize("voltage", ["-0.9", "nan", "0.9"])
-def test_a_dead_port_may_read_a_little_on_either_side_or_nothing(bench: Bench, voltage: str) -> None:
-    bench.set(*ASLEEP, "force output 0", f"force target {voltage}", "force current 0")
-    bench.closed(DEAD)
-    if voltage == "nan":  # only while open: nothing touches
-        bench.set("force target 29.4")
-    bench.run(1 * S)
-    bench.check(contactor=1, limit=0.5, fault=0)
-
-
-def test_a_dead_profile_also_closes_on_a_port_that_is_live(bench: Bench) -> None:
-    bench.set("resistance 0.1")
-    bench.charge(limits=DEAD).check(current=18.0)

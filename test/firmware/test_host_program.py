@@ -34,19 +34,6 @@ def running(program: Path, port: Path, *arguments: str) -> Iterator[subprocess.P
     assert not port.is_symlink()
 
 
-def test_a_reboot_is_detected(programs: Path, tmp_path: Path) -> None:
-    frames: list[TactileSample] = []
-    with (
-        running(programs, tmp_path / "board") as process,
-        BoardLink(str(tmp_path / "board"), on_tactile=frames.append) as link,
-    ):
-        link.start()
-        wait_until(lambda: frames)
-        assert process.stdin is not None
-        process.stdin.write("boot\n")
-        wait_until(lambda: link.counters.reboots == 1)
-
-
 def test_servos_that_are_unplugged_leave_a_silent_bus(programs: Path, tmp_path: Path) -> None:
     """A hung-up port is always readable, which must not keep a processor busy."""
     master, slave = pty.openpty()

@@ -46,22 +46,6 @@ def test_every_rate_is_kept_without_drift(new_bench: NewBench, rate: float, peri
     assert not any(overruns(tactile(bench.packets)))
 
 
-def test_a_new_rate_continues_one_new_period_later(bench: Bench) -> None:
-    bench.send(START)
-    bench.run(100 * MS)
-    set_rate(bench, 10.0)
-    changed = bench.now
-    bench.run(250 * MS)
-    assert instants(bench.packets)[-2:].tolist() == [changed + 100 * MS, changed + 200 * MS]
-
-
-def test_power_is_sent_at_20_hz_under_any_load(bench: Bench) -> None:
-    bench.send(START)
-    bench.run(10 * S)
-    times = [packet.device_time_us for packet in bench.packets if packet.type == PacketType.POWER]
-    assert times == [50 * MS * (index + 1) for index in range(200)]
-
-
 def test_missed_instants_are_missing_numbers_and_an_overrun(bench: Bench) -> None:
     """The emulator sends late samplings; a real board cannot sample the past."""
     bench.send(START)
@@ -75,15 +59,6 @@ def test_missed_instants_are_missing_numbers_and_an_overrun(bench: Bench) -> Non
     assert not any(overruns(tactile(following)))
     grid = instants(following) * 120 / 1e6
     assert np.abs(grid - np.rint(grid)).max() < 1e-3  # the schedule itself did not move
-
-
-def test_an_instant_that_has_just_come_is_sampled_only_once(bench: Bench) -> None:
-    bench.send(START)
-    bench.run(0)
-    (frame,) = tactile(bench.jump(16666))  # the second of two instants, 16666.67 us, has just begun
-    assert (frame.sequence, frame.flags) == (2, FLAG_OVERRUN)
-    (frame,) = tactile(bench.run(8334))
-    assert (frame.sequence, frame.flags) == (3, 0)
 
 
 def test_device_time_survives_the_counters_wrap(new_bench: NewBench) -> None:
@@ -142,27 +117,3 @@ def test_a_wire_blocked_for_ever_does_not_stop_the_board(bench: Bench) -> None:
     bench.beating = False
     bench.run(101 * MS)
     bench.check(contactor=0)
-
-
-@pytest.mark.parametrize(
-    ("sample_format", "size", "rate", "baud"), [(3, 424, 1000.0, 1_000_000), (2, 324, 120.0, 115_200)]
-)
-def test_a_stream_too_fast_for_the_wire_is_thinned_and_flagged(
-    new_bench: NewBench, sample_format: int, size: int, rate: float, baud: int
-) -> None:
-    bench = new_bench(format=sample_format, baud=baud)
-    set_rate(bench, rate)
-    bench.send(START)
-    packets = bench.run(3 * S)
-    frames = tactile(packets)
-    assert overruns(frames[1:]) == (np.diff([packet.sequence for packet in frames]) > 1).tolist()
-    powers = sum(packet.type == PacketType.POWER for packet in packets)
-    assert powers == pytest.approx(60, abs=3)
-    # The wire is full, except for short pauses.
-    assert (len(frames) * size + powers * 43) * 10 / baud == pytest.approx(3.0, rel=0.07)
-    for _ in range(10):
-        bench.send((PacketType.STOP, b""), START)
-        asked = bench.now
-        while not acks(bench.run(1 * MS)):
-            assert bench.now - asked <= 1536 * 10 * S / baud + 1 * MS, "longer than the ring of the wire takes"
-        bench.run(37 * MS)

@@ -7,13 +7,12 @@ import random
 import struct
 from collections.abc import Callable
 
-import numpy as np
 import pytest
 
 from deltacharger_driver.board.protocol import LONGEST_SERVO, AckError, BoardFault, PacketType, decode_hello
 from deltacharger_driver.packets import Packet, encode_packet
 
-from .bench import MS, Bench, acks, tactile
+from .bench import MS, Bench, tactile
 
 NewBench = Callable[..., Bench]
 QUESTION = bytes.fromhex("fffffd0001030001194e")
@@ -134,27 +133,6 @@ def test_nothing_is_sent_before_the_first_servo_packet_of_a_boot(bench: Bench) -
     assert nothing_is_sent()
 
 
-@pytest.mark.parametrize(
-    "packet", [*(Packet(SERVO, bytes(size), 0) for size in (0, 129, 150)), Packet(SERVO, QUESTION, 1, flags=1)]
-)
-def test_servo_of_a_wrong_size_or_with_flags_is_ignored(bench: Bench, packet: Packet) -> None:
-    assert bench.host.sent(f"wire {encode_packet(packet).hex()}") == b""
-    assert bus(bench) == b""
-
-
-def test_packets_without_room_are_dropped_completely_and_counted(bench: Bench) -> None:
-    bench.set("bus_takes 0")
-    held = [bytes([each]) * 119 for each in (1, 2, 3)]
-    bench.send(*[(SERVO, payload) for payload in held])
-    bench.send((SERVO, b"b" * 28), (SERVO, b"c" * 27), (SERVO, b"d"))
-    bench.run(100 * MS)
-    bench.check(dropped_servo=2)
-    bench.set("bus_takes 4096")
-    bench.run(10 * MS)
-    assert bus(bench) == b"".join(held) + b"c" * 27
-    ask_servos(bench)
-
-
 def test_a_boot_during_a_packet_clears_both_directions(bench: Bench) -> None:
     bench.set("bus_takes 3")
     bench.send((SERVO, QUESTION))
@@ -184,18 +162,6 @@ def test_an_unsupported_speed_is_refused_and_changes_nothing(bench: Bench, paylo
     bench.check(servo_speed=1_000_000)
     bus(bench, b"wer")
     assert from_servos(bench.run(200)) == [b"answer"]
-
-
-def test_a_new_speed_discards_waiting_bytes(bench: Bench) -> None:
-    ask_servos(bench)
-    bench.set("bus_takes 0")
-    bench.send((SERVO, b"old"))
-    bus(bench, b"old")
-    bench.run(0)
-    assert set_speed(bench, 57_600) == 0
-    bench.set("bus_takes 4096")
-    assert from_servos(bench.run(100 * MS)) == []
-    assert bus(bench) == b""
 
 
 def cycle(bench: Bench, answer: bytes) -> list[bytes]:
@@ -232,39 +198,3 @@ def test_the_heartbeat_and_the_contactor_keep_their_deadlines_beside_a_busy_bus(
     bench.check(contactor=1)
     bench.run(1)
     bench.check(contactor=0, fault=BoardFault.HEARTBEAT_LOST)
-
-
-def test_on_a_full_wire_frames_yield_to_servos_and_servos_to_power_and_answers(new_bench: NewBench) -> None:
-    """A busy bus fills every gap of the wire, but blocks neither POWER nor an answer."""
-    bench = new_bench(servos=1, baud=115_200)
-    assert set_speed(bench, 115_200) == 0
-    bench.send((PacketType.START, b""))
-    ask_servos(bench)
-    bench.run(100 * MS)
-    start = len(bench.packets)
-    for turn in range(2000):
-        bus(bench, bytes(10))
-        if turn % 100 == 0:
-            bench.send((PacketType.START, b""))
-        bench.run(1 * MS)
-    bench.run(200 * MS)
-    packets, state = bench.packets[start:], bench.host.state()
-    assert state["dropped_power"] == state["dropped_answers"] == 0
-    assert len(acks(packets)) == 20
-    assert np.diff([packet.device_time_us for packet in packets if packet.type == PacketType.POWER]).max() == 50 * MS
-    carried = sum(map(len, from_servos(packets)))
-    assert carried + 128 * state["dropped_servo"] == pytest.approx(20_000, abs=128)
-    assert state["dropped_tactile"] > 200
-    assert carried > 0.7 * 2 * 115_200 / 10  # of the bytes that the wire carries
-
-
-def test_a_blocked_wire_loses_only_complete_servo_packets(bench: Bench) -> None:
-    ask_servos(bench)
-    bench.set("baud 1")
-    for _ in range(30):
-        bus(bench, bytes(range(100)))
-        bench.run(1 * MS)
-    lost = int(bench.state("dropped_servo"))
-    assert 20 < lost < 30
-    bench.set("baud 0")
-    assert from_servos(bench.run(10 * MS)) == [bytes(range(100))] * (30 - lost)

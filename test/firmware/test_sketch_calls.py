@@ -183,31 +183,12 @@ def test_the_probe_waits_even_if_the_clock_steps_back(sketch: Sketch) -> None:
         assert sketch.calls("probed")[0] == then[0]
 
 
-def test_limit_and_voltage_are_shares_of_their_full_scale(sketch: Sketch) -> None:
-    limit, voltage = (sketch.pins[name] for name in ("LIMIT", "VOLTAGE"))
-    for volt, share in ((9, 0), (20, 127), (29, 242), (30, 255), (60, 255)):  # never more than asked for
-        assert sketch.calls(f"drive 0 0 {volt}")[2:] == [f"pwm {limit} 255", f"pwm {voltage} {share}"]
-    assert sketch.calls("drive 0 0 0")[2:] == [f"pwm {limit} 0", f"pwm {voltage} 0"]
-
-
 def test_the_servos_line_is_released_after_the_last_bit(sketch: Sketch) -> None:
     calls = sketch.calls("setup")
     assert calls.index("bus connector 1") < calls.index("bus begin 1000000")
     assert calls.index("listen") < calls.index("bus begin 1000000")
     assert "speak" not in calls
     assert sketch.ask("send 20") == (20, ["speak", "bus write 20", "bus flush", "listen"])
-
-
-def test_sending_to_the_servos_takes_half_a_millisecond_at_most(sketch: Sketch) -> None:
-    for speed, most in ((9_600, 1), (57_600, 2), (1_000_000, 50), (4_500_000, 100)):
-        assert sketch.ask(f"speed {speed}") == (1, [f"bus begin {speed}"])
-        assert sketch.ask("send 128")[0] == most
-        assert most == 1 or most * 10 / speed <= 0.5e-3
-
-
-def test_a_speed_that_the_uart_does_not_support_changes_nothing(sketch: Sketch) -> None:
-    for speed in (0, 9_599, 4_500_001, 2**32 - 1):
-        assert sketch.ask(f"speed {speed}") == (0, [])
 
 
 def test_the_link_never_gets_more_than_fits(sketch: Sketch) -> None:

@@ -53,14 +53,6 @@ def test_an_opening_ramps_below_1_a_within_50_ms(bench: Bench) -> None:
     bench.check(fault=0)
 
 
-def test_a_small_current_under_a_high_limit_is_opened_soon(bench: Bench) -> None:
-    bench.set("battery 29")  # 2.7 A
-    bench.charge().check(limit=18.0)
-    bench.open()
-    assert bench.run_until("contactor", 0, 51 * MS) <= 6 * MS
-    assert bench.state("broken") < 1.0
-
-
 def test_an_opening_opens_after_50_ms_if_the_current_does_not_fall(bench: Bench) -> None:
     bench.charge().set("force current 12")
     bench.open()
@@ -75,16 +67,6 @@ def test_a_fault_opens_at_once_under_full_current(bench: Bench) -> None:
     bench.set(*STRONG)
     bench.charge().set("trip 2")
     bench.check(contactor=0, broken=18.0)
-
-
-def test_an_opening_during_precharge_is_immediate_and_no_fault(bench: Bench) -> None:
-    closing(bench)
-    bench.run(20 * MS)
-    bench.check(precharge=1)
-    assert bench.open() == 0
-    bench.check(precharge=0)
-    bench.run(300 * MS)
-    bench.check(fault=0)
 
 
 def test_a_contactor_that_opens_on_its_own_is_no_fault_and_needs_a_new_probe(bench: Bench) -> None:
@@ -208,27 +190,6 @@ def test_contacts_welded_before_a_boot_are_detected_without_a_command(bench: Ben
     bench.check(fault=BoardFault.CONTACTOR_WELDED)
 
 
-@pytest.mark.parametrize("fault", [2, 4, 5, 6, 9])
-def test_the_stages_own_detectors_are_latched_even_while_open(bench: Bench, fault: int) -> None:
-    for detected in (fault, 0):
-        bench.set(f"detected {detected}")
-        bench.run(60 * MS)
-    assert bench.power().fault == fault
-    bench.open()
-    bench.check(fault=0)
-
-
-def test_no_charge_current_is_no_fault_while_open(bench: Bench) -> None:
-    bench.set("detected 1")
-    bench.run(100 * MS)
-    assert bench.power().fault == 0
-    bench.probe()
-    bench.beat()
-    assert bench.close_contactor() == 0
-    bench.run(5 * MS)
-    bench.check(fault=BoardFault.NO_CHARGE_CURRENT)
-
-
 def test_a_reverse_current_has_100_ms_from_the_close_command_on(bench: Bench) -> None:
     closing(bench)
     bench.set("force current -0.6")
@@ -246,40 +207,12 @@ def test_the_boards_own_limits_stay_the_outer_bounds(bench: Bench) -> None:
     bench.check(contactor=0, fault=BoardFault.VOLTAGE_OUT_OF_RANGE)
 
 
-@pytest.mark.parametrize("reading", ["battery", "target"])
-def test_the_current_does_not_rise_while_a_voltage_is_unknown(bench: Bench, reading: str) -> None:
-    bench.set(*STRONG)
-    bench.closed(LIMITS).run(100 * MS)
-    before = bench.state("limit")
-    bench.set(f"force {reading} nan")
-    bench.run(90 * MS)
-    bench.check(limit=before, fault=0)
-
-
 def test_a_stage_whose_voltage_the_board_sets_gets_the_closings(bench: Bench) -> None:
     limits = LIMITS._replace(voltage=25.2)
     bench.closed(limits).check(voltage=pytest.approx(25.2, abs=1e-5))
     bench.open()
     bench.run(60 * MS)
     bench.check(contactor=0, voltage=0)
-
-
-@pytest.mark.parametrize("start", [0.5, 3.0, 20.0])
-def test_current_has_the_start_time_to_begin(bench: Bench, start: float) -> None:
-    bench.set("target 29.4")  # nothing drives a current
-    bench.closed(LIMITS._replace(start_time=start))
-    assert bench.run_until("contactor", 0, 21 * S, step=10 * MS) == pytest.approx(start * S, abs=12 * MS)
-    bench.check(fault=BoardFault.NO_CHARGE_CURRENT)
-
-
-def test_a_target_that_connects_late_is_ramped_up_from_one_ampere(bench: Bench) -> None:
-    bench.set("target 29.4", "resistance 0.1")
-    bench.closed(LIMITS._replace(start_time=10.0))
-    bench.run(8 * S)
-    bench.check(limit=1.0)
-    bench.set("target 24")
-    bench.run(100 * MS)
-    assert bench.state("current") == pytest.approx(1.0 + 0.1 * 40.0, abs=0.2)
 
 
 def test_a_pulsing_target_is_ramped_up_after_each_gap(bench: Bench) -> None:
