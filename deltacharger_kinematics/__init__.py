@@ -5,7 +5,6 @@
 """
 
 from deltacharger_kinematics.delta import Delta, Forward, Inverse, Jacobian
-from deltacharger_kinematics.geometry import DeltaGeometry, LimbAdjustment
-from deltacharger_kinematics.status import Status
+from deltacharger_kinematics.geometry import DeltaGeometry, LimbAdjustment, Status
 
 __all__ = ["Delta", "DeltaGeometry", "Forward", "Inverse", "Jacobian", "LimbAdjustment", "Status"]

@@ -19,9 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from deltacharger_core.arrays import Array
 from deltacharger_core.machine import GRAVITY
-from deltacharger_kinematics.geometry import DeltaGeometry
+from deltacharger_kinematics.geometry import DeltaGeometry, Status
 from deltacharger_kinematics.solve import ForwardSolver, InverseSolver, LimbArrays, cross, dot
-from deltacharger_kinematics.status import Status
 
 
 def as_vectors(value: ArrayLike, name: str) -> Array:
@@ -52,22 +51,20 @@ class Inverse(NamedTuple):
 
 
 class Forward(NamedTuple):
-    """Positions (..., 3) m in charger_base, status (...), determinant (...) of the unit rod vectors."""
+    """Positions (..., 3) m in charger_base, status (...)."""
 
     position: Array
     status: NDArray[np.uint32] | Status
-    determinant: Array | float
 
 
 class Jacobian(NamedTuple):
-    """dp/dangle (..., 3, 3) m/rad, determinant (...) of the unit rod vectors, condition number (...).
+    """dp/dangle (..., 3, 3) m/rad, determinant (...) of the unit rod vectors.
 
-    NaN if the point is out of reach. If the rods lie in a plane, the matrix is NaN and the condition infinite.
+    NaN if the point is out of reach. If the rods lie in a plane, the matrix is NaN.
     """
 
     matrix: Array
     determinant: Array | float
-    condition: Array | float
 
 
 class Delta:
@@ -106,11 +103,10 @@ class Delta:
             ValueError: `angles` is not an array (..., 3) of numbers.
         """
         arms = as_vectors(angles, "angles")
-        position, status, determinant = self._forward.solve(arms.reshape(-1, 3))
+        position, status = self._forward.solve(arms.reshape(-1, 3))
         if arms.ndim == 1:
-            return Forward(position[0], Status(int(status[0])), float(determinant[0]))
-        shape = arms.shape[:-1]
-        return Forward(position.reshape(arms.shape), status.reshape(shape), determinant.reshape(shape))
+            return Forward(position[0], Status(int(status[0])))
+        return Forward(position.reshape(arms.shape), status.reshape(arms.shape[:-1]))
 
     def jacobian(self, position: ArrayLike) -> Jacobian:
         """Return the Jacobian at `position` (..., 3) m.
@@ -128,12 +124,7 @@ class Delta:
             matrix = np.moveaxis(
                 columns * (lever / np.where(determinant == 0.0, np.nan, determinant)), (0, 1), (-2, -1)
             )
-        condition = np.where(np.isnan(determinant), np.nan, np.inf)
-        usable = np.isfinite(matrix).all((-2, -1))
-        condition[usable] = np.linalg.cond(matrix[usable])
-        if points.ndim == 1:
-            return Jacobian(matrix, float(determinant), float(condition))
-        return Jacobian(matrix, determinant, condition)
+        return Jacobian(matrix, float(determinant) if points.ndim == 1 else determinant)
 
     def torque(self, position: ArrayLike, force: ArrayLike) -> Array:
         """Return the arm torques (..., 3) N·m for the platform to exert `force` (..., 3) N at `position`.

@@ -25,7 +25,6 @@ from numpy.typing import ArrayLike
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from rclpy.subscription import Subscription
 
 from deltacharger_core.frames import CHARGER_BASE, END_EFFECTOR, FrameParameters
 from deltacharger_kinematics import Delta
@@ -35,6 +34,7 @@ from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import node_support
 from deltacharger_ros.clock import steady_timer
 from deltacharger_ros.log import Log
+from deltacharger_ros.on_demand import PolledTopic
 from deltacharger_ros.parameters import declare_all, declare_file, declare_with_servos, reject_unknown
 from deltacharger_ros.qos import SERVICE
 
@@ -60,7 +60,9 @@ class KinematicsNode(Node):
         self._scalar = ScalarDelta(geometry)
         self._pose = self.create_publisher(PoseStamped, "end_effector_pose", _DEFAULT_DEPTH)
         self._wrench = self.create_publisher(WrenchStamped, "contact_wrench", _DEFAULT_DEPTH)
-        self._servo_state: Subscription[ServoState] | None = None  # only while pose or wrench has subscribers
+        self._servo_state = PolledTopic(
+            self, ServoState, "servo_state", QoSProfile(depth=1), callback=self._on_servo_state
+        )
         steady_timer(self, _CHECK_PERIOD, self._subscribe_on_demand)
         group = ReentrantCallbackGroup()
         self.create_service(
@@ -82,14 +84,7 @@ class KinematicsNode(Node):
         """Do nothing: this node drives no hardware."""
 
     def _subscribe_on_demand(self) -> None:
-        wanted = self._pose.get_subscription_count() + self._wrench.get_subscription_count() > 0
-        if wanted and self._servo_state is None:
-            self._servo_state = self.create_subscription(
-                ServoState, "servo_state", self._on_servo_state, QoSProfile(depth=1)
-            )
-        elif not wanted and self._servo_state is not None:
-            self.destroy_subscription(self._servo_state)
-            self._servo_state = None
+        self._servo_state.set_open(self._pose.get_subscription_count() + self._wrench.get_subscription_count() > 0)
 
     def _on_servo_state(self, message: ServoState) -> None:
         wants_pose = self._pose.get_subscription_count() > 0

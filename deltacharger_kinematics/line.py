@@ -27,9 +27,8 @@ from deltacharger_core.arrays import Array, Mask
 from deltacharger_core.machine import JOINT_SPEED
 from deltacharger_core.texts import Picklable
 from deltacharger_kinematics.delta import Delta, as_vectors
-from deltacharger_kinematics.geometry import Vector
+from deltacharger_kinematics.geometry import NO_ANSWER, Status, Vector
 from deltacharger_kinematics.solve import LimbArrays
-from deltacharger_kinematics.status import NO_ANSWER, Status
 
 REFUSED = NO_ANSWER | Status.WRONG_ASSEMBLY | Status.NEAR_TYPE_2 | Status.JOINT_LIMIT | Status.SWING_LIMIT
 """Statuses refused for points of a line. Points outside the workspace box and near the edge of reach

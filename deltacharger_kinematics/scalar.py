@@ -12,8 +12,17 @@ from collections.abc import Sequence
 from math import atan2, cos, sin, sqrt
 
 from deltacharger_kinematics.exact import DOUBTFUL_ROOT, HOPELESS, solve_limb_at
-from deltacharger_kinematics.geometry import LIMB_COUNT, LIMB_DIRECTIONS, DeltaGeometry, Limb, Vector
-from deltacharger_kinematics.status import COLLINEAR, NEAR_TYPE_1, NEAR_TYPE_2, Status
+from deltacharger_kinematics.geometry import (
+    COLLINEAR,
+    LIMB_COUNT,
+    LIMB_DIRECTIONS,
+    NEAR_TYPE_1,
+    NEAR_TYPE_2,
+    DeltaGeometry,
+    Limb,
+    Status,
+    Vector,
+)
 
 Matrix = tuple[float, float, float, float, float, float, float, float, float]
 # One limb at a point: angle, −√Q, v, u, w, 2a(u² + w²)·(sin θ, cos θ), u² + w².

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array, Mask
 from deltacharger_kinematics.exact import DOUBTFUL_ROOT, HOPELESS, solve_limb
-from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry
-from deltacharger_kinematics.status import COLLINEAR, NEAR_TYPE_1, NEAR_TYPE_2, Status
+from deltacharger_kinematics.geometry import COLLINEAR, LIMB_COUNT, NEAR_TYPE_1, NEAR_TYPE_2, DeltaGeometry, Status
 
 
 def dot(a: Array, b: Array) -> Array:
@@ -305,27 +304,25 @@ class InverseSolver:
 
 
 class ForwardSolver:
-    """Position, status and determinant for joint angles, in chunks."""
+    """Position and status for joint angles, in chunks."""
 
     def __init__(self, geometry: DeltaGeometry, arrays: LimbArrays) -> None:
         self._geometry = geometry
         self._arrays = arrays
         self._warnings = WarningFlags(geometry, arrays)
         self._rods_squared = [float(limb.rod) ** 2 for limb in arrays.limbs]
-        self._scale = float(np.prod(arrays.rod))
 
-    def solve(self, angles: Array) -> tuple[Array, Bits, Array]:
-        """Return positions (n, 3), status (n,) and determinants (n,) of the unit rod vectors for `angles` (n, 3)."""
+    def solve(self, angles: Array) -> tuple[Array, Bits]:
+        """Return positions (n, 3) and status (n,) for `angles` (n, 3)."""
         positions = np.empty(angles.shape)
         status = np.empty(len(angles), dtype=np.uint32)
-        determinants = np.empty(len(angles))
         with np.errstate(divide="ignore", invalid="ignore", over="ignore", under="ignore"):
             for start in range(0, len(angles), CHUNK):
                 part = slice(start, start + CHUNK)
-                positions[part], status[part], determinants[part] = self._chunk(np.ascontiguousarray(angles[part].T))
-        return positions, status, determinants
+                positions[part], status[part] = self._chunk(np.ascontiguousarray(angles[part].T))
+        return positions, status
 
-    def _chunk(self, angles: Array) -> tuple[Array, Bits, Array]:
+    def _chunk(self, angles: Array) -> tuple[Array, Bits]:
         arrays = self._arrays
         turned = angles + arrays.angle_offset
         cosine, sine = np.cos(turned), np.sin(turned)
@@ -347,7 +344,7 @@ class ForwardSolver:
             position[:, ~solved] = det[~solved] = np.nan
         root = 2.0 * np.abs(self._lever(rods, cosine, sine))
         bits |= self._warnings.check(position, angles, root, self._across(rods), det)
-        return position.T, bits, det / self._scale
+        return position.T, bits
 
     def _intersect(self, apart: Array) -> tuple[Array, Mask, Array]:
         """Return the intersection of the spheres about elbows 0, 1 and 2.

@@ -41,8 +41,18 @@ from deltacharger_kinematics.calibration.calibrate import (
     numbers,
     rms,
 )
-from deltacharger_kinematics.calibration.data import MILLIMETRE, TICK, CalibrationError, Encoder, read_measurements
-from deltacharger_kinematics.calibration.plan import PlannedPose, PoseRecording, plan, read_plan, write_plan
+from deltacharger_kinematics.calibration.data import (
+    MILLIMETRE,
+    TICK,
+    CalibrationError,
+    Encoder,
+    PlannedPose,
+    PoseRecording,
+    plan,
+    read_measurements,
+    read_plan,
+    write_plan,
+)
 from deltacharger_kinematics.geometry import (
     LIMB_COUNT,
     DeltaGeometry,

@@ -16,8 +16,7 @@ import numpy as np
 
 from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.calibration.calibrate import COUNT, Uncertainty, fit, numbers, rms, with_numbers
-from deltacharger_kinematics.calibration.data import TICK, Encoder, Measurements
-from deltacharger_kinematics.calibration.plan import PoseRecording, plan
+from deltacharger_kinematics.calibration.data import TICK, Encoder, Measurements, PoseRecording, plan
 
 NOMINAL = DeltaGeometry()
 STATED = Uncertainty()

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from deltacharger_core.machine import GRAVITY_STRENGTH, TORQUE_CONSTANT
-from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry, LimbAdjustment
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_kinematics.trajectory_feed import Waypoint
@@ -21,9 +20,7 @@ from deltacharger_lab.campaigns.docking import columns, dock_once, make_charger
 from deltacharger_lab.campaigns.draw import Drawn, draw
 from deltacharger_lab.campaigns.parts import assumed_geometry, build_parts
 from deltacharger_lab.campaigns.scene import load_campaign_scene
-from deltacharger_lab.second.parameters import SecondParameters
 from deltacharger_sim.pads import ContactSource
-from deltacharger_tactile import MODEL_PATHS
 from test.marks import rest
 
 from .campaigns import QUICK, comparable, scene
@@ -133,22 +130,6 @@ def test_the_high_row_appears_after_the_tare_only(exact: bool) -> None:
     np.testing.assert_allclose((baselines[1] - baselines[0])[alive], high_row(1.5, one.seed)[alive], atol=1e-9)
 
 
-def test_a_heading_turns_the_faces_back() -> None:
-    world, _, _ = build_parts({"parked.heading": 0.03, "world.target.tilt_y": 0.01})
-    assert world.target.tilt_y == pytest.approx(-0.02)
-    askew = docked(parked={"heading": 0.02})
-    turned = docked(world={**QUICK["world"], "target": {"tilt_y": -0.02}})
-    for row in askew, turned:
-        row["parked.heading"] = row["world.target.tilt_y"] = 0.0
-    assert comparable([askew]) == comparable([turned])
-
-
-def test_docking_knows_that_there_are_no_magnets_but_not_how_strong_others_are() -> None:
-    for force, assumed in ((0.0, 0.0), (50.0, DockingParameters().magnet_force)):
-        assert build_parts({"world.magnets.force": force})[2].magnet_force == assumed
-    assert build_parts({"world.magnets.force": 0.0, "docking.magnet_force": 40.0})[2].magnet_force == 40.0
-
-
 def nudged(exact: bool = False, friction: float = 0.0, **nudge: float) -> dict[str, Any]:
     """Return the row of a docking with a nudged target."""
     world = {**QUICK["world"], "contact": {"friction": friction}}
@@ -215,58 +196,3 @@ def test_second_pads_are_made_by_name_and_pairs_stay_pairs(monkeypatch: pytest.M
     assert comparable(same) == comparable([plain[number] for number in first])
     for name in ("seed", "rig_seed", "goal_x", "place_roll", "world.servo.stiffness"):
         assert [row[name] for row in rows] == [row[name] for row in plain]
-
-
-def test_the_pose_model_is_the_named_one() -> None:
-    for name, threshold in zip(("packaged", "1N"), MODEL_PATHS, strict=True):
-        one = drawn(estimator={"model": name})
-        charger = make_charger(one, False)
-        docking.EstimateLog(charger, one.estimator, one.seed)
-        assert charger.model.threshold == threshold
-
-
-@pytest.mark.parametrize("dead_band", [False, True])
-def test_pads_with_a_dead_band_are_read_again(dead_band: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A frame of the first touch does not predict later ones if readings are not proportional to the force."""
-
-    class Banded(ContactSource):
-        def frames(self, *given: Any) -> Any:
-            raw = super().frames(*given)
-            return np.where(raw < 1.5, np.fmin(raw, 0.1), raw) if dead_band else raw
-
-    monkeypatch.setattr(docking, "make_pads", lambda _, tactile, __, *seeds: Banded(tactile, *seeds))
-    one = drawn(pads="second")
-    charger = make_charger(one, False)
-    charger.begin(docking.DockGoal(one.goal))
-    found = []
-    while charger.outcome is None and len(found) < 400:
-        charger.tick()
-        if charger._tared and charger.world.misalignment is not None:
-            seen = charger.observe().tactile_contact
-            most = float(np.nanmax(charger.feel(1, 0.0)[0] - charger.baseline))
-            if abs(most - 1.0) > 0.4:
-                found.append((seen, most >= 1.0))
-    assert len(found) > 20
-    assert all(seen is felt_now for seen, felt_now in found)
-
-
-USUAL = SecondParameters().platform.compliance
-
-
-@pytest.mark.parametrize(
-    ("world", "own", "expected"),
-    [
-        (None, None, USUAL),
-        (0.0, None, USUAL),
-        (0.03, None, 0.03),
-        (0.03, 0.01, 0.01),
-        (None, 0.01, 0.01),
-        (1e-6, None, 1e-4),  # the stiffest that the family has
-    ],
-)
-def test_the_second_family_yields_as_the_worlds_platform_unless_it_has_its_own(
-    world: float | None, own: float | None, expected: float
-) -> None:
-    content: dict[str, Any] = {} if world is None else {"world": {"platform": {"compliance": world}}}
-    content |= {} if own is None else {"second": {"platform": {"compliance": own}}}
-    assert (drawn(pads="second", **content).second or SecondParameters()).platform.compliance == expected

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from deltacharger_docking.arm import Planner
-from deltacharger_docking.codes import Unreachable
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_lab.campaigns.docking import dock_once
@@ -56,15 +55,6 @@ def test_lines_equal_the_planners(stiffness: float) -> None:
                 assert np.abs(np.interp(shares, known, two) - one)[inside].max() < most
 
 
-def test_a_path_that_leaves_the_reach_is_refused() -> None:
-    quick = QuickPlanner(DockingParameters(), DeltaGeometry())
-    with pytest.raises(Unreachable):
-        quick.check_way(0.1, (0.0, 0.0, 0.08), (0.0, 0.0, 0.5))
-    with pytest.raises(Unreachable):
-        quick.line((0.0, 0.0, 0.5), (0.0, 0.0, 0.502), 0.02)
-    quick.check_way(0.1, (0.0, 0.0, 0.08), (0.03, -0.03, 0.06), (0.0, 0.0, 0.0))
-
-
 def test_a_complete_line_is_sent_once_and_stops_at_hold() -> None:
     parameters = DockingParameters()
     line = Planner(parameters, DeltaGeometry()).line((0.0, 0.0, 0.05), (0.0, 0.0, 0.08), 0.05)
@@ -84,14 +74,9 @@ def test_a_complete_line_is_sent_once_and_stops_at_hold() -> None:
     [
         rest(QUICK),
         rest({"target": {"roll": 0.30}, "shift": {"roll": -0.02}}),
-        rest({"target": {"roll": 0.0}, "shift": {"roll": 0.26}}),
         ({"world": {"target": {"present": False}}}),
-        rest({"world": {"port": {"voltage": 0.0, "bleeder": 0.1}}}),
         rest({"world": {"port": {"voltage": -24.0}}}),
-        rest({"target": {"x": 0.06, "y": 0.06}, "shift": {"x": 0.02}}),
-        rest({"world": {"magnets": {"force": 0.0}}}),
         rest({"world": {"target": {"tilt_x": 0.01, "tilt_y": 0.02}, "platform": {"compliance": 0.02}}}),
-        rest({"world": {"target": {"tilt_x": 0.005, "tilt_y": -0.003}}}),
     ],
 )
 def test_a_quick_docking_ends_like_a_full_one(content: dict[str, Any]) -> None:
@@ -119,18 +104,12 @@ def test_rolled_faces_that_lean_strike_no_harder_than_level_ones_of_stiff_spring
     ("number", "codes"),
     [
         (0, "NONE"),  # level, nothing wrong
-        rest(7, "NONE"),  # rolled by −7°
         (15, "CRITICAL_ANGLE"),  # by −11°
-        rest(18, "CRITICAL_ANGLE"),  # by 15°
-        rest(31, "NONE"),  # 10 mm off in both axes, 6°
         rest(45, "NONE"),  # a corner of the workspace, 20 N·m/rad
         rest(55, "NONE"),  # 2.5 N·m/rad on 1e7 N/m
-        rest(64, "NONE"),  # 20 N·m/rad on 1e4 N/m, which bottoms under the magnets
         rest(70, "NO_TACTILE_CONTACT ESTIMATE_UNSURE"),  # no magnets: the pads hardly detect the push alone
         rest(76, "NONE"),  # gravity upward, 6 N·m/rad
-        rest(97, "NONE"),  # tilted about y on 1e5 N/m
         (104, "UNREACHABLE"),  # goal beyond a corner of the workspace
-        rest(106, "NO_CONTACT"),  # 30 mm behind the goal
         (107, "NO_CONTACT"),  # absent
     ],
 )

@@ -73,14 +73,6 @@ def test_tails_have_the_reported_width_and_the_weight_of_students_t(tail: float,
         assert each.vertical == pytest.approx((each.across + each.horizontal * math.sin(angle)) / math.cos(angle))
 
 
-def test_the_tail_does_not_change_the_noise() -> None:
-    _, noisy = answers(EstimatorErrors(position_stddev=0.001), 3)
-    _, both = answers(EstimatorErrors(position_stddev=0.001, tail=1e6), 3)
-    _, tail = answers(EstimatorErrors(tail=1e6), 3)
-    for one, two, three in zip(noisy, both, tail, strict=True):
-        assert two.horizontal - three.horizontal == pytest.approx(one.horizontal - ESTIMATE.horizontal)
-
-
 def test_estimates_without_contact_are_counted_and_have_no_error() -> None:
     stand_in = charger(None)
     log = EstimateLog(stand_in, EstimatorErrors(tail=3.0), 1)

@@ -14,10 +14,9 @@ import numpy as np
 import pytest
 
 from deltacharger_core.parameters import Declaration, ParameterError, declared
-from deltacharger_docking.parameters import DockingParameters
 from deltacharger_lab.campaigns.draw import draw, zero_angle
 from deltacharger_lab.campaigns.keys import TAKEN, EstimatorErrors, known_keys
-from deltacharger_lab.campaigns.parts import Assumed, build_parts, read_spread
+from deltacharger_lab.campaigns.parts import build_parts, read_spread
 from deltacharger_lab.campaigns.scene import (
     CampaignScene,
     load_campaign_scene,
@@ -26,8 +25,7 @@ from deltacharger_lab.campaigns.scene import (
 )
 from deltacharger_scenes.scene import SceneError
 from deltacharger_sim.circuit import Overlap
-from deltacharger_sim.parameters import ServoParameters, WorldParameters
-from deltacharger_tactile.parameters import TactileParameters
+from deltacharger_sim.parameters import WorldParameters
 from test.marks import night
 
 METRES = Declaration("x", float, None, "a place", "m", -0.06, 0.06)
@@ -38,7 +36,6 @@ METRES = Declaration("x", float, None, "a place", "m", -0.06, 0.06)
     [
         (0.01, 0.01, 0.0),
         ([-0.03, 0.03], 0.0, 0.06 / math.sqrt(12.0)),
-        ({"mean": 0.01, "stddev": 0.005}, 0.01, 0.005),
         ({"mean": 0.055, "stddev": 0.05}, 0.02017, 0.0281),
         ({"choose": [-0.02, 0.02]}, 0.0, 0.02),
         ({"either_sign": [0.02, 0.02]}, 0.0, 0.02),
@@ -107,11 +104,6 @@ def test_a_tilted_robot_has_tilted_gravity(azimuth: float, expected: tuple[float
     assert docking.gravity == pytest.approx((world.gravity_x, world.gravity_y, world.gravity_z))
 
 
-def test_electrodes_have_the_hole_that_the_scene_gives_them() -> None:
-    assert build_parts({"electrode.hole": 0.002})[1].contact.hole == 0.002
-    assert build_parts({})[1] == TactileParameters()
-
-
 def test_a_listed_docking_is_as_listed_and_the_rest_is_drawn() -> None:
     entries = [{"shift": {"x": 0.001 * index}} for index in range(3)]
     scene = parse_campaign_scene({"target": {"roll": [-0.1, 0.1]}, "dockings": entries}, "x")
@@ -143,8 +135,6 @@ def test_a_seed_always_draws_the_same_values(name: str, digest: str) -> None:
     [
         {"estimator": {"tail": 3.0, "stddev_scale": 0.5, "bias_vertical": 0.0005, "paper": False}},
         {"gravity": {"anywhere": True, "known": True}},
-        {"world": {"contact": {"stiffness": {"log": [1e4, 1e7]}}}},
-        {"shift": {"limit": 0.06, "x": {"either_sign": [0.001, 0.002]}}},
     ],
 )
 def test_a_new_key_does_not_change_the_values_of_others(more: dict[str, Any]) -> None:
@@ -228,27 +218,18 @@ TILTED = {"parked": {"heading": [-0.08, 0.08]}, "world": {"target": {"tilt_y": {
         ([], "(top)", "not a mapping"),
         ({"wrold": {}}, "wrold", "'world'"),
         ({"world": {"servo": {"stiffness": [1, 15]}}}, "world.servo.stiffness[0]", "2 to 40"),
-        ({"world": {"target": {"x": 0.01}}}, "world.target.x", "target.x"),
         (x([0.01, -0.01]), "target.x", "above"),
         (x({"log": [0.0, 0.01]}), "target.x.log", "no logarithm"),
-        (x({"mean": 0.0, "stddev": -1.0}), "target.x.stddev", "outside 0"),
         (x(float("nan")), "target.x", "not finite"),
         ({"gravity": {"anywhere": True, "tilt": 0.1}}, "gravity.tilt", "gravity.anywhere"),
-        ({"gravity": {"azimuth": 1.0}}, "gravity.azimuth", "no effect"),
-        ({"based_on": "bad"}, "based_on", "packaged"),
         ({"dockings": [x([0.0, 0.01])]}, "dockings[0].target.x", "fixed"),
         ({"docking": {"current_min": [0.40, 0.48]}}, "docking.current_min", "current_max must be"),
         (assumed(geometry={"limb_0": {"arm": 0.01}}), "assumed.geometry.limb_0.arm", "-0.005 to 0.005"),
-        (assumed(gravity_tilt=0.0, gravity_azimuth=1.0), "assumed.gravity_azimuth", "no effect"),
         ({**assumed(gravity_tilt=0.1), "gravity": {"tilt": 0.1, "known": False}}, "gravity.known", "contradicts"),
         ({"docking": {"servo_stiffness": 9.0}}, "docking.servo_stiffness", "assumed.servo_stiffness"),
         (TILTED, "parked.heading", "world.target.tilt_y"),
-        ({"pads": {"choose": ["first", "other"]}}, "pads.choose[1]", "first, second"),
         ({"nudge": {"after": 3.0, "x": 0.0}}, "nudge.after", "no effect"),
-        ({"pads": "second", "electrode": {"hole": 0.002}}, "electrode.hole", "second"),
-        ({"second": {"sheet": {"dead_band": 0.5}}}, "second.sheet.dead_band", "second"),
         (second(sheet={"dead_band": [0.0, 1.0]}), "second.sheet.dead_band_spread", "half"),
-        (second(bars={"seat": [1e-6, 1e-3], "travel": [1e-4, 1e-2]}), "second.bars.seat", "below bars.travel"),
         ({"estimator": {"model": "1N", "paper": True}}, "estimator.model", "estimator.paper"),
     ],
 )
@@ -257,23 +238,6 @@ def test_impossible_content_is_refused_by_its_key(content: Any, key: str, proble
         parse_campaign_scene(content, "bad")
     assert refusal.value.key == key
     assert problem in refusal.value.problem
-
-
-@pytest.mark.parametrize(
-    "content",
-    [
-        *(second(sheet={"dead_band": each}) for each in (0.0, {"choose": [0.0, 1.0]}, [0.8, 1.0])),
-        {"nudge": {"x": {"mean": 0.0, "stddev": 0.001}, "after": 3.0}},  # moves though its mean is none
-    ],
-)
-def test_a_dead_band_may_be_drawn_and_a_nudge_may_have_no_mean(content: dict[str, Any]) -> None:
-    parse_campaign_scene(content, "x")
-
-
-def test_every_stiffness_may_be_assumed_wrong_by_every_factor() -> None:
-    kinds = (ServoParameters, "stiffness"), (Assumed, "servo_stiffness"), (DockingParameters, "servo_stiffness")
-    true, factor, docking = ({key.name: key for key in declared(kind)}[name] for kind, name in kinds)
-    assert docking.low <= true.low * factor.low < true.high * factor.high <= docking.high
 
 
 @pytest.mark.rest

@@ -159,13 +159,6 @@ def test_a_split_never_separates_a_docking(angle: Examples) -> None:
     assert sum(map(len, judged)) == len(angle)
 
 
-def test_other_classes_and_references_to_a_tree_are_refused(angle: Examples) -> None:
-    with pytest.raises(ModelError, match="classes 0 to 4"):
-        TrainableClassifier(SIMPLE, "vertical").fit(angle.frames, angle.labels)
-    with pytest.raises(ModelError, match="train lda or pose"):
-        TREE.refer(np.zeros((3, 2, 10, 10)), np.zeros(3, dtype=int))
-
-
 USELESS = {
     "no contact": lambda rows: 0.0 * rows.frames,
     "dead": lambda rows: np.full_like(rows.frames, np.nan),
@@ -182,38 +175,6 @@ def test_frames_that_teach_nothing_are_refused_with_what_to_do(frames: Any, angl
         TrainableClassifier(SIMPLE, "angle").fit(useless, angle.labels)
     with pytest.raises(ModelError, match=r"[016] different frames in contact"):
         TREE.calibrate(useless, angle.labels)
-
-
-@pytest.mark.parametrize("rows", [slice(0), slice(2), [0] * 40, slice(4 * 6)], ids=["none", "two", "one class", "few"])
-def test_each_class_needs_five_frames(rows: Any, angle: Examples) -> None:
-    some = angle.part(np.argsort(angle.labels, kind="stable").reshape(6, 40).T.ravel()[rows])
-    with pytest.raises(DatasetError, match=r"class \d .* [0-4] different frames in contact, at least 5"):
-        TrainableClassifier(SIMPLE, "angle").fit(some.frames, some.labels)
-
-
-def test_copies_and_frames_without_contact_change_nothing(angle: Examples) -> None:
-    usual = reliability.learn_familiar(np.nan_to_num(angle.frames), THRESHOLD)
-    more = np.concatenate([angle.frames, angle.frames[:50], 0.0 * angle.frames[:50]])
-    assert reliability.learn_familiar(np.nan_to_num(more), THRESHOLD).to_dict() == usual.to_dict()
-
-
-@pytest.mark.rest
-def test_three_dockings_are_more_accurate_than_one() -> None:
-    pytest.importorskip("sklearn", reason="trains with deltacharger-lab[train]")
-    rows = examples(generate_paper(rigs=(310, 311), seed=5, threshold=THRESHOLD), "horizontal")
-    learns, judges = splits.by_docking(rows, seed=1)
-    model = TrainableClassifier("lda", "horizontal", THRESHOLD).fit(rows.frames[learns], rows.labels[learns])
-    test = rows.part(judges)
-    shares = model.predict_proba(test.frames)
-    random, three = np.random.default_rng(0), []
-    for value, rig in np.unique(np.column_stack([np.round(test.values, 6), test.rigs]), axis=0):
-        place = random.permutation(np.flatnonzero((np.round(test.values, 6) == value) & (test.rigs == rig)))
-        three += place[: len(place) // 3 * 3].reshape(-1, 3).tolist()
-    together = np.log(np.maximum(shares[np.array(three)], 1e-6)).sum(axis=1).argmax(axis=1)
-    alone = np.mean(shares.argmax(axis=1) == test.labels)
-    joined = np.mean(together == test.labels[np.array(three)[:, 0]])
-    assert joined > alone
-    assert joined >= 0.99  # the report's figure of three dockings, frozen in docs/reports/tactile.md
 
 
 @pytest.mark.rest

@@ -12,7 +12,6 @@ import pytest
 
 from deltacharger_bringup.cli.main import main
 from deltacharger_lab.training.__main__ import COMMANDS
-from deltacharger_tactile import MODEL_PATH
 from test.bringup.command import Capture, answer, refuses, run
 
 ask, tell = partial(answer, commands=COMMANDS), partial(run, commands=COMMANDS)
@@ -51,17 +50,3 @@ def test_a_classifier_is_trained_and_evaluated(sets: dict[str, Path], tmp_path: 
     refuses(
         capsys, f"{' '.join(train)} {data} --out {tmp_path}/new.npz --reference none.npz", "none.npz", commands=COMMANDS
     )
-
-
-@pytest.mark.rest
-@pytest.mark.parametrize(
-    ("line", "noun"),
-    [
-        ("evaluate --data {data} --model {data}", "pose model"),
-        (f"evaluate --data {{data}} --model {MODEL_PATH}", "1 N"),
-        ("train --data {data} --model pose --target pose --out new.npz", "too few"),
-    ],
-)
-def test_sets_that_do_not_fit_are_refused(sets: dict[str, Path], capsys: Capture, line: str, noun: str) -> None:
-    refuses(capsys, line, noun, commands=COMMANDS, data=sets["data"])
-    assert not Path("new.npz").exists()

@@ -95,12 +95,6 @@ def test_the_box_is_the_published_one(place: tuple[float, float, float], outside
     assert judged(world(place=place))["outside"] == pytest.approx(outside)
 
 
-def test_where_a_limp_arm_falls_is_told_apart() -> None:
-    judge = WorldJudge()
-    judge.look(world(place=(0.07, 0.0, 0.08)), 0.01, torque=False)
-    assert (judge.found["outside"], judge.found["outside_limp"]) == (0.0, pytest.approx(0.01))
-
-
 @pytest.mark.parametrize(("limit", "over"), [(0.9, False), (1.5, True)])
 def test_the_push_counts_above_its_bound(limit: float, over: bool) -> None:
     real, judge = World(WorldParameters(target=TargetParameters(z=0.0))), WorldJudge()
@@ -155,21 +149,6 @@ def test_closing_needs_an_estimate_of_this_contact(between: Any, then: Any, coun
         judge.look(between, 0.01)
     judge.closing(world(pose=then))
     assert judge.found["closed_unmeasured"] == count
-
-
-def test_closing_without_any_estimate_counts() -> None:
-    judge = WorldJudge()
-    judge.look(world(), 0.01)
-    judge.closing(world())
-    assert judge.found["closed_unmeasured"] == 1
-
-
-def test_the_probe_counts_on_live_electrodes_only() -> None:
-    judge = WorldJudge()
-    judge.probed(world())
-    judge.probed(world(closed=True))
-    judge.probed(world(current=3.0))
-    assert judge.found["probed_live"] == 2
 
 
 @pytest.mark.parametrize(

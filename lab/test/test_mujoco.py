@@ -14,16 +14,11 @@ import pytest
 from deltacharger_core.parameters import ParameterError
 from deltacharger_kinematics.geometry import DeltaGeometry, LimbAdjustment
 from deltacharger_lab.mujoco.world import (
-    IMPEDANCE,
-    MujocoMechanics,
     mujoco_world,
     pull,
     refuse,
-    share,
-    share_impedance,
     side_pull,
 )
-from deltacharger_sim.motion import TargetFixed
 from deltacharger_sim.parameters import (
     CableParameters,
     ContactParameters,
@@ -136,8 +131,6 @@ def test_both_agree_in_fast_motion(pair: Any) -> None:
     ("parameters", "key"),
     [
         ({"servo": plain_servo(backlash=0.01)}, "servo.backlash"),
-        ({"servo": plain_servo(friction_share=0.1)}, "servo.friction_share"),
-        ({"cable": CableParameters(stiffness=10.0)}, "cable.stiffness"),
         ({"cable": CableParameters(drag=1.0)}, "cable.drag"),
         ({"stand": StandParameters(stiffness=5000.0)}, "stand.stiffness"),
     ],
@@ -146,14 +139,6 @@ def test_parameters_that_the_reference_lacks_are_refused_by_key(parameters: Any,
     with pytest.raises(ParameterError) as caught:
         refuse(WorldParameters(**{"servo": plain_servo()} | parameters))
     assert caught.value.key == key
-
-
-def test_an_unknown_integrator_and_a_start_out_of_reach_are_refused() -> None:
-    require_mujoco()
-    with pytest.raises(ValueError, match="leapfrog"):
-        mujoco_world(WorldParameters(servo=SLIPPERY), integrator="leapfrog")
-    with pytest.raises(ValueError, match="reach"):
-        MujocoMechanics(WorldParameters(servo=SLIPPERY), DeltaGeometry(), (0.0, 0.0, 1.0))
 
 
 def test_without_mujoco_the_message_states_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -207,51 +192,6 @@ def test_both_lean_equally_with_equal_forces_on_each_bar(
         assert found.lean.residual == pytest.approx(residual, rel=0.02, abs=2e-4)
 
 
-@pytest.mark.night
-def test_both_agree_in_docking_with_friction_weight_and_a_lever(pair: Any) -> None:
-    leans = leaning(0.02, -1.0, 2.0, servo=plain_servo())
-    parameters = replace(leans, platform=PlatformParameters(compliance=0.02, lever=0.02))
-    light, other = pair(parameters, 2e-4)
-    squares = []
-    for tick in range(24):
-        for each in (light, other):
-            each.aim((0.0, 0.0, 0.06 + 0.026 * min((tick + 1) / 16.0, 1.0)))
-            each.run(0.05)
-        squares.append(math.dist(light.world.mechanics.position, other.world.mechanics.position) ** 2)
-    # While the face swings aside by 0.7 mm, friction grows with the force: the motion decides whether it holds.
-    # With it, the light model's own place moves by 0.45 mm between steps of 0.2 and 10 ms.
-    assert math.sqrt(sum(squares[5:]) / len(squares[5:])) < 2.3e-4
-    first, second = light.world.mechanics, other.world.mechanics
-    # Friction holds the face while it swings aside by lever · tilt, so that the platform moves the other way.
-    assert second.position[0] < -0.5 * 0.02 * second.tilt[1] < 0.0
-    assert first.position[0] == pytest.approx(second.position[0], abs=2.3e-4)
-    assert first.tilt == pytest.approx(second.tilt, rel=0.05)
-
-
-@pytest.mark.parametrize("count", [1, 16])
-def test_constraints_in_parallel_are_as_stiff_and_as_hard_as_one(count: int) -> None:
-    inverse, d = 2.0, share_impedance(count)
-    s, b = share(1e5, inverse, count)
-    assert count * -s / ((1.0 - d) * inverse) == pytest.approx(1e5)
-    assert (1.0 - d) / d / count == pytest.approx((1.0 - IMPEDANCE) / IMPEDANCE)
-    assert count * b / (1.0 - d) == pytest.approx(share(1e5, inverse, 1)[1] / (1.0 - IMPEDANCE))
-
-
-@pytest.mark.parametrize(
-    ("gap", "offset", "force"),
-    [
-        (0.0, 0.0, 60.0),
-        (0.002, 0.0, 15.0),
-        (0.006, 0.0, 3.75),
-        (0.0, 0.008, 30.0),
-        (0.0, 0.1, 12.0),
-        (-0.001, 0.0, 60.0),
-    ],
-)
-def test_the_pull_follows_its_law(gap: float, offset: float, force: float) -> None:
-    assert pull(MAGNETS, gap, offset) == pytest.approx(force)
-
-
 @pytest.mark.parametrize("offset", [0.002, 0.006, 0.03])
 @pytest.mark.parametrize("gap", [0.0005, 0.004])
 def test_both_models_pull_sideways_by_the_energy_of_the_pull(gap: float, offset: float) -> None:
@@ -270,12 +210,6 @@ def test_both_models_pull_sideways_by_the_energy_of_the_pull(gap: float, offset:
     aside = (pulls(gap + tiny, offset)[1] - pulls(gap - tiny, offset)[1]) / (2.0 * tiny)
     assert aside == pytest.approx(ahead, rel=1e-5, abs=1e-3)
     assert (pulls(gap, offset)[1] > 0.0) == (offset < 0.016)  # beyond, the share is at its floor
-
-
-def test_a_model_with_a_fixed_target_refuses_moves() -> None:
-    require_mujoco()
-    with pytest.raises(TargetFixed, match="light model"):
-        mujoco_world(WorldParameters(servo=plain_servo())).move_target(0.001, 0.0, 0.0, 0.2)
 
 
 @pytest.mark.rest

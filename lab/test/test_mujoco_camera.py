@@ -9,7 +9,6 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from typing import Any
-from unittest import mock
 
 import numpy as np
 import pytest
@@ -93,32 +92,6 @@ def test_light_shadow_highlight_and_streaks_are_those_of_the_scene(camera: Mujoc
     assert np.abs(streaks - ours)[~(ours > 0.2)].max() == 0.0
 
 
-@pytest.mark.rest
-def test_holes_are_in_metal_only() -> None:
-    pose = view(0.3, 0.3)
-    with opened(OAK_D, dataclasses.replace(IDEAL, hole_metal=1.0, hole_glare=1.0)) as holed:
-        depth = ideal(RenderedScene(parameters=EVEN), pose, holed).depth
-    metal = eroded(linear(ideal(FACES, pose, SimulatedCamera(parameters=IDEAL)).color) > 0.4)
-    assert metal.sum() > 500
-    assert np.isnan(depth[metal]).all()
-    column, row = np.rint(shown(np.array([0.06, 0.03, 0.006]), pose, OAK_D)).astype(int)
-    assert np.isfinite(depth[row, column])
-
-
-@pytest.mark.rest
-@pytest.mark.parametrize(("width", "sizes"), [(1.0, (0.75, 1.25)), (1.8, (1.3, 2.1)), (6.0, (4.0, 7.0))])
-def test_edges_are_as_wide_as_asked(width: float, sizes: tuple[float, float]) -> None:
-    pose = view(0.25, roll=0.02)  # slightly rotated, so that all parts of a pixel are tested
-    with opened(OAK_D, dataclasses.replace(IDEAL, edge_width=width)) as other:
-        light = linear(ideal(FACES, pose, other).color)
-    column, row = np.rint(shown(Terminal().corners()[UPPER].mean(axis=0), pose, OAK_D)).astype(int)
-    step = np.abs(np.diff(light[row - 40 : row, column - 40 : column + 41], axis=0))
-    step, places = step / step.sum(axis=0), np.arange(39)[:, None]
-    spreads = (step * (places - (step * places).sum(axis=0)) ** 2).sum(axis=0)
-    # A ramp has the variance w²/12; sampling it once a pixel adds 1/12.
-    assert sizes[0] ** 2 / 12 < np.median(spreads) - 1.0 / 12.0 < sizes[1] ** 2 / 12
-
-
 @pytest.mark.parametrize(
     ("lens", "pose"), [(OAK_D, VIEWS[2]), (OTHER, view(0.25, 0.3, 0.2, 0.4)), *(rest(OAK_D, pose) for pose in VIEWS)]
 )
@@ -157,18 +130,6 @@ def test_a_closed_camera_raises_and_a_lens_that_distorts_is_refused(camera: Mujo
     assert ideal(FACES, view(0.3), camera).color.max() > 100  # the other camera has its own context
     with pytest.raises(RendererError, match="SimulatedCamera"):
         MujocoCamera(dataclasses.replace(OAK_D, distortion=(-0.3, 0.1, 0.0, 0.0, 0.0)))
-
-
-def test_a_context_is_released_if_its_buffer_fails(camera: MujocoCamera, monkeypatch: pytest.MonkeyPatch) -> None:
-    import mujoco
-    import mujoco.egl
-
-    free = mock.Mock(side_effect=mujoco.egl.GLContext.free)
-    monkeypatch.setattr(mujoco.egl.GLContext, "free", lambda context: context._context and free(context))
-    monkeypatch.setattr(mujoco, "MjrContext", mock.Mock(side_effect=mujoco.FatalError("no framebuffer")))
-    with pytest.raises(RendererError, match="smaller"):
-        MujocoCamera()
-    free.assert_called_once()
 
 
 @pytest.mark.rest

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import importlib
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -13,10 +12,8 @@ import pytest
 from deltacharger_core.parameters import declared
 from deltacharger_lab.campaigns.keys import known_keys
 from deltacharger_lab.pages import parameters
-from deltacharger_lab.pages.topics import read
 
 ROOT = Path(__file__).parents[2]
-FILES = sorted(path for folder in ("msg", "srv", "action") for path in (ROOT / folder).glob(f"*.{folder}"))
 
 
 @pytest.mark.ros
@@ -65,16 +62,3 @@ def test_a_policy_allows_exactly_what_is_needed(grant: str, name: str, who: str)
     profiles = {path.stem: ElementTree.parse(path) for path in (ROOT / "config" / "security").glob("*.xml")}
     granted = {each for each, tree in profiles.items() if name in {item.text for item in tree.findall(grant)}}
     assert granted == set(who.split())
-
-
-@pytest.mark.ros
-def test_interface_files_are_read_as_the_generator_of_code_reads_them() -> None:
-    """rosidl's own Python classes have the same fields and constants, part by part."""
-    for path in FILES:
-        kind = getattr(importlib.import_module(f"deltacharger.{path.suffix[1:]}"), path.stem)
-        for part in read(path).parts:
-            generated = getattr(kind, part.name) if part.name else kind
-            assert [each.name for each in part.fields] == list(generated.get_fields_and_field_types()), path.name
-            for constant in part.constants:
-                name, value = constant.split()
-                assert getattr(generated, name) == int(value), path.name

@@ -6,7 +6,6 @@ from __future__ import annotations
 import importlib.util
 import json
 import re
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -79,17 +78,3 @@ def test_footprint_measures_both_ways_of_a_scene_and_reports_one_that_does_not_r
         assert row["docking_percent"] == [None] * 3
         assert not set(row["libraries"]) & set(NEVER)
     assert "| not measured |" in page
-
-
-def test_an_interruption_ends_it_without_a_traceback(tmp_path: Path) -> None:
-    pytest.importorskip("cv2", reason="`make optional` installs what all reports need")
-    words = [*COMMAND, "vision", "--quick", "--json", "--out", str(tmp_path)]
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    running = subprocess.Popen(words, start_new_session=True, **pipes)
-    assert running.stderr is not None
-    assert "%" in next(line for line in running.stderr if "absent" not in line)  # the first task is done
-    running.send_signal(signal.SIGINT)
-    out, errors = running.communicate(timeout=60)
-    assert (running.returncode, "Traceback" in errors) == (130, False)
-    assert json.loads(out)["success"] is False
-    assert list(tmp_path.iterdir()) == []

@@ -64,18 +64,12 @@ def test_bins_have_every_docking_of_either_sign_once() -> None:
         ("random", {}, set()),
         ("random", {"energised_unsafe": 0.01}, {"energised without clearance, random scenes"}),
         ("random", {"shorts": 1}, {"shorts, our algorithm"}),
-        ("random", {"rest_current": 0.51}, {"contact current at rest in 0.4–0.5 A"}),
-        ("random", {"servo_push": 25.1}, {"largest push of the servos in contact"}),
-        ("random", {"servo_current_hottest": 0.61}, {"hottest servo while charging, largest"}),
         ("random", {"code_name": "CRASHED"}, {"dockings that crashed"}),
         ("default", {"moves": 4}, {"moves, default, median", "moves, default, 99 %"}),
         ("default", {"time": 9.0}, {"seconds to charging, default, median"}),
-        ("random", {"time": 10.1}, {"seconds to charging, random, median"}),
         ("edge", {"charged": False}, {"charged, scenes at 8–11°", "seconds to charging, edge, median"}),
         ("default", {"final_horizontal": 0.0026}, {"at rest within 2.5 mm in both axes, default"}),
         ("strike", {"peak_push": 121.0}, {"strike, exact, default, largest"}),
-        ("worn_arm", {"force_min": 18.0}, {"true force in the told interval, worn_arm"}),
-        ("real_arm", {"still_touching": True}, {"undocked while touching, real_arm"}),
     ],
 )
 def test_only_its_own_figure_and_scene_miss_a_target(scene: str, changes: dict[str, Any], missed: set[str]) -> None:
@@ -84,13 +78,6 @@ def test_only_its_own_figure_and_scene_miss_a_target(scene: str, changes: dict[s
     found[scene] = docking_summary.summarise(rows(10, **changes))
     assert {each["name"] for each in docking_summary.targets(found, good) if not each["met"]} == missed
     assert {each["met"] for each in docking_summary.targets({}, None)} == {None}, "nothing was measured"
-
-
-def test_a_largest_figure_uses_only_campaigns_that_charged() -> None:
-    refused = docking_summary.summarise(rows(3, charged=False, code_name="MISALIGNED"))
-    found = docking_summary.targets({"default": refused, "edge": docking_summary.summarise(rows(3))}, None)
-    (hottest,) = (each["measured"] for each in found if each["name"].startswith("hottest servo"))
-    assert hottest == 0.5
 
 
 @pytest.mark.rest
@@ -116,16 +103,6 @@ def test_a_report_runs_missing_dockings_and_shows_present_ones(
     monkeypatch.setattr(docking_report, "versions", lambda: {"code": "other"})
     code, answer, _ = report("--only", "random", "-n", "3")
     assert (code, "version of code" in answer["error"]) == (2, True)
-
-
-def test_nudges_count_opened_and_unsafe_dockings() -> None:
-    every = rows(6, nudge_opened=math.nan)
-    every["nudge_opened"] = np.array([0.2, 0.4, math.nan, math.nan, 2.0, math.nan])
-    every["energised_unsafe"] = np.array([0.1, 0.0, 0.3, 0.0, 0.0, 0.0])
-    every["charged"][5] = False
-    found = docking_summary.nudges(every)
-    assert [found[name] for name in ("n", "opened", "unsafe", "unsafe_opened")] == [5, 3, 2, 1]
-    assert (found["delay"]["median"], found["seconds"]["max"]) == pytest.approx((0.4, 0.3))
 
 
 def test_hostile_figures_count_laws_and_codes_by_fault() -> None:
@@ -190,19 +167,6 @@ def test_leans_are_binned_by_integer_degrees_of_either_sign() -> None:
     yaw, pitch = lean.lean(rows(1) | {"parked.heading": np.radians([3.0])})  # of a robot that stands askew
     assert (yaw[0], pitch[0]) == (pytest.approx(3.0), 0.0)
     assert (cells[4][4]["n"], cells[4][4]["share"], cells[4][4]["refused"]) == (2, 0.5, {"LEANING": 1})
-
-
-def test_late_or_unnamed_refusals_do_not_count_as_soon() -> None:
-    every = leaning([4.0] * 4, [0.0] * 4, charged=False, code_name="LEANING")
-    every["time"], every["contacts"] = np.array([19.0, 21.0, 0.0, 5.0]), np.array([1, 1, 0, 1])
-    every["code_name"] = np.array(["LEANING", "LEANING", "LEANING", "CRASHED"])
-    found = lean.figures(every)
-    assert (found["soon"]["hits"], found["soon"]["n"], found["untouched"], found["leaning"]) == (2, 4, 1, 3)
-
-
-def test_the_reported_offset_is_compared_with_the_electrodes_rest() -> None:
-    assert lean.figures(leaning([0.0], [0.0]))["reported"]["rms"] == pytest.approx((0.002 - 0.001) / 0.0005)
-    assert lean.figures(leaning([0.0], [0.0], charged=False, code_name="LEANING"))["reported"]["n"] == 0
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import subprocess
 import sys
@@ -13,7 +12,6 @@ from pathlib import Path
 import psutil
 import pytest
 
-from deltacharger_bringup.cli.main import main
 from deltacharger_lab.reports.footprint import measure as footprint
 from deltacharger_lab.reports.footprint import report as footprint_report
 from deltacharger_lab.reports.footprint.measure import ONE, SEPARATE
@@ -65,16 +63,6 @@ def test_memory_threads_and_children_of_a_process_are_counted(child: Child) -> N
         footprint.usage([plain.pid])
 
 
-@pytest.mark.rest
-def test_processor_time_with_ended_children_and_libraries_are_counted_and_waiting_is_not(child: Child) -> None:
-    assert footprint.mapped([child("import PIL._imaging").pid]) == {"PIL"}
-    burn = "import time\nwhile time.process_time() < 0.5: pass\ntime.sleep(0.3)"
-    begun = child(f"import subprocess, sys\nsubprocess.run([sys.executable, '-c', {burn!r}])")
-    for process in (child(burn), begun):
-        assert 0.45 <= footprint.usage([process.pid]).cpu < 0.75
-        assert footprint.mapped([process.pid]) == set()
-
-
 def test_a_scene_is_measured_or_left_out_with_a_reason(tmp_path: Path) -> None:
     plan = footprint.make_plan()
     assert {"bench", "simulated"} <= set(plan.scenes)
@@ -103,16 +91,3 @@ def test_targets_are_judged_by_the_bench_scene_in_one_process_and_figures_are_me
     assert met == [True, False, None, True, True, True, True, True, False, False]
     runs = [{"a": value, "libraries": [], "docking_problem": ""} for value in (3.0, 1.0, math.nan, 2.0)]
     assert footprint_report.summary(runs)["a"] == [2.0, 1.0, 3.0]
-
-
-def test_with_nothing_to_measure_or_no_linux_the_error_states_why(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    file = tmp_path / "mine.yaml"
-    file.write_text("nodes: [camera_node]\n", "utf-8")
-    words = ("report", "footprint", "--scene", str(file), "--out", str(tmp_path / "out"), "--json")
-    for platform, reason in ((sys.platform, "OAK-D"), ("darwin", "only Linux")):
-        monkeypatch.setattr(sys, "platform", platform)
-        assert main(words) == 1
-        assert reason in json.loads(capsys.readouterr().out)["error"]
-    assert not (tmp_path / "out").exists()

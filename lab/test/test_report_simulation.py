@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import pytest
 
-from deltacharger_lab.reports.simulation import impact, models, reference
-from deltacharger_lab.reports.simulation.impact import STRIKES, axis_docking, axis_world, obey, strike_orders
+from deltacharger_lab.reports.simulation import models, reference
+from deltacharger_lab.reports.simulation.impact import STRIKES, axis_world, obey, strike_orders
 from deltacharger_lab.reports.simulation.reference import angle, on_axis
-from deltacharger_lab.reports.simulation.scenes import DELTA, docking, rms, settled_exactly, world
+from deltacharger_lab.reports.simulation.scenes import DELTA, settled_exactly, world
 from deltacharger_sim.mechanics import GEAR_BRISTLE
 from deltacharger_sim.parameters import MagnetParameters, ServoParameters, TargetParameters, WorldParameters
 from deltacharger_sim.world import World
@@ -85,22 +85,6 @@ def test_peaks_in_steps_of_docking_are_within_the_stated_limits(strike: object) 
         moved = World(parameters, start=(0.0, 0.0, start))
         obey(moved, orders, duration, step)
         assert moved.record.peak_force == pytest.approx(exact, rel=0.15)
-
-
-def test_the_light_models_path_converges_with_the_step() -> None:
-    exact = axis_docking(1e5, 15.0)
-    parameters = axis_world(1e5, 15.0)
-    off = [rms(docking("light", parameters, step)["trace"], exact["trace"]) for step in (0.01, 0.005, 0.001)]
-    assert off == sorted(off, reverse=True)
-    assert off[-1] < 3e-5  # backward Euler damps the bounces on the springs, even at 1 ms
-
-
-def test_the_worst_error_of_none_or_of_an_unknown_one_is_unknown() -> None:
-    rows = [{"step": 0.01, "contact": 1e5, "percent": each, "grazes": each == 40.0} for each in (3.0, -8.0, 40.0)]
-    assert impact.worst(rows[:2], step=0.01) == -8.0
-    assert math.isnan(impact.worst(rows, step=0.02))
-    assert math.isnan(impact.worst([*rows, {**rows[0], "percent": math.nan}]))
-    assert (impact.at_docking(rows), impact.at_docking(rows, grazing=False)) == (40.0, 8.0)
 
 
 def test_a_diverged_point_is_never_proven() -> None:

@@ -13,7 +13,7 @@ import pytest
 from deltacharger_lab.reports.pool import ReportFailed, ReportTask, work
 from deltacharger_lab.reports.tactile import plan as tactile_plan
 from deltacharger_lab.reports.tactile import second
-from deltacharger_lab.reports.tactile.report import FIRES, HOLDS, NEITHER, _second_targets, accuracies, shifts
+from deltacharger_lab.reports.tactile.report import FIRES, HOLDS, NEITHER, shifts
 from deltacharger_lab.training.classifier import TrainableClassifier
 from deltacharger_lab.training.estimator import TrainablePoseEstimator
 from deltacharger_sim.pads import generate_continuous, generate_paper
@@ -94,16 +94,6 @@ def test_models_trained_on_the_first_physics_stay_unchanged(monkeypatch: pytest.
     assert row["second"]["drift_rate"] > 0.2, "frames of which most taxels tell nothing"
 
 
-def test_lost_coverage_that_no_drift_check_notices_is_a_target_missed() -> None:
-    calm = {"accuracy": 0.9, "coverage": 0.95, "act_rate": 0.9, "drift_rate": 0.0, "windows": [0.0, 0.0]}
-    cases = (calm, calm | {"coverage": 0.5, "windows": [0.0, 0.9]}, calm | {"coverage": 0.5})
-    models = [{"model": "lda", "target": "angle", "first": calm, "second": case} for case in cases]
-    unsafe, sigma, blind = _second_targets({"models": models, "estimates": [], "variants": []})
-    assert (blind["measured"], blind["met"], blind["unit"]) == (1.0, False, "of 3")
-    assert unsafe["met"] is None, "nothing was measured"
-    assert sigma["met"] is None
-
-
 def test_a_verdict_needs_coverage_or_an_alarm() -> None:
     base = {"model": "m", "target": "angle", "accuracy": 0.9, "act_rate": 0.9, "drift_rate": 0.0, "n": 600}
     cases = {"held": (0.95, 0.0, HOLDS), "lost": (0.5, 0.0, NEITHER), "told": (0.5, 0.9, FIRES)}
@@ -113,18 +103,6 @@ def test_a_verdict_needs_coverage_or_an_alarm() -> None:
         for seed in range(3)
     ]
     assert {row["shift"]: row["verdict"] for row in shifts(rows)} == {name: case[2] for name, case in cases.items()}
-
-
-def test_the_interval_is_over_rigs() -> None:
-    rows = [
-        {"model": "m", "target": target, "rig": rig, "accuracy": 0.9 + 0.02 * rig + 0.01 * seed, "fit_s": 1.0}
-        for target in ("angle", "vertical", "horizontal")
-        for rig in range(3)
-        for seed in (-1, 1)
-    ]
-    found = accuracies(rows, ["m"])["m"]["angle"]
-    assert found["mean"] == pytest.approx(0.92)
-    assert found["half"] == pytest.approx(4.303 * 0.02 / 3**0.5, rel=1e-3)
 
 
 @pytest.mark.rest

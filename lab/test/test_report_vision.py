@@ -10,7 +10,6 @@ import math
 import numpy as np
 import pytest
 
-from deltacharger_lab.reports.vision import conditions as vision_views
 from deltacharger_lab.reports.vision import report as vision_plan
 from deltacharger_lab.reports.vision.conditions import (
     ALARMS,
@@ -26,7 +25,6 @@ from deltacharger_lab.reports.vision.conditions import (
 from deltacharger_lab.reports.vision.measure import FIELDS, Photographer, errors
 from deltacharger_lab.reports.vision.report import row, targets
 from deltacharger_vision.detector.detector import ElectrodeDetector
-from deltacharger_vision.images import project
 from deltacharger_vision.terminal import Detection
 
 NOTHING = [*[math.nan] * 10, 1.0]
@@ -79,12 +77,6 @@ def test_a_missed_target_is_reported() -> None:
         assert [each["met"] for each in found] == [met] * len(found), found
 
 
-def test_seeds_are_those_of_the_report_and_shift() -> None:
-    first, second = (vision_plan.VisionPlan(2, seed, True, {}) for seed in (0, 1))
-    assert first.seeds(3)[0] == 20_000
-    assert not set(first.seeds(1000)) & set(second.seeds(1000))
-
-
 @pytest.mark.rest
 def test_one_seed_is_one_view_for_both_renderers_and_all_defects() -> None:
     plan = vision_plan.plan(2, 0, True)
@@ -111,16 +103,3 @@ def test_depth_off_by_two_percent_makes_no_answer_wrong_and_sure() -> None:
             image = dataclasses.replace(sample.image, depth=(scale * sample.image.depth).astype(np.float32))
             found = dict(zip(FIELDS[1:], errors(detector.detect(image), sample.view.pose), strict=True))
             assert (found["wrong"], found["sure"]) == (0.0, 0.0), seed
-
-
-@pytest.mark.rest
-def test_the_terminal_of_every_view_is_completely_in_the_picture() -> None:
-    for name, condition in CONDITIONS.items():
-        if not name.startswith((ALARMS, RENDERERS)):
-            view = condition.draw(np.random.default_rng([300, condition.stream]))
-            corners = view.scene.terminal.corners() @ view.pose[:3, :3].T + view.pose[:3, 3]
-            pixels = project(corners, condition.takes)
-            assert (pixels > 0.0).all(), name
-            assert (pixels < [condition.takes.width - 1, condition.takes.height - 1]).all(), name
-    with pytest.raises(ValueError, match="no pose"):
-        vision_views.draw_pose(0.04, np.random.default_rng(0))

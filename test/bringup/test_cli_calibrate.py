@@ -12,8 +12,7 @@ import pytest
 
 from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.calibration.calibrate import COUNT, Uncertainty, numbers, rms, with_numbers
-from deltacharger_kinematics.calibration.data import Encoder
-from deltacharger_kinematics.calibration.plan import PoseRecording, plan
+from deltacharger_kinematics.calibration.data import Encoder, PoseRecording, plan
 from deltacharger_kinematics.geometry import load_geometry
 
 from .command import Capture, answer, refuses, run

@@ -17,8 +17,7 @@ import pytest
 
 from deltacharger_bringup.cli.calibrate_kinematics import position_of
 from deltacharger_kinematics import Delta, DeltaGeometry
-from deltacharger_kinematics.calibration.data import Encoder, read_measurements
-from deltacharger_kinematics.calibration.plan import PlannedPose, write_plan
+from deltacharger_kinematics.calibration.data import Encoder, PlannedPose, read_measurements, write_plan
 
 from ..chargers import DEADLINE, Process, wait_until
 from ..marks import night, rest

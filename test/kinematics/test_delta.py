@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_kinematics import Delta, DeltaGeometry, Inverse, LimbAdjustment, Status
+from deltacharger_kinematics.geometry import NO_ANSWER
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_kinematics.status import NO_ANSWER
 
 DELTA = Delta()
 SCALAR = ScalarDelta()
@@ -236,7 +236,7 @@ def test_results_have_the_shape_of_the_points(shape: tuple[int, ...]) -> None:
     points = np.full(shape, 0.01, dtype=np.float32)
     solved, met = DELTA.inverse(points), DELTA.forward(points)
     assert solved.angles.shape == met.position.shape == DELTA.torque(points, DOCK).shape == shape
-    assert np.shape(solved.status) == np.shape(solved.margin) == np.shape(met.determinant) == shape[:-1]
+    assert np.shape(solved.status) == np.shape(solved.margin) == np.shape(met.status) == shape[:-1]
     assert DELTA.jacobian(points).matrix.shape == (*shape, 3)
 
 
@@ -274,7 +274,6 @@ def test_elbows_in_a_line_or_too_far_apart() -> None:
         for met in (delta.forward(arms), batch):
             assert np.ravel(met.status)[0] == status
             assert np.isnan(met.position.reshape(-1, 3)[0]).all()
-            assert math.isnan(np.ravel(met.determinant)[0])
         assert np.ravel(batch.status)[1] == delta.forward((0.1, 0.2, 0.3)).status
     assert np.isnan(ScalarDelta(level.geometry).forward(*straight_up)).all()
     assert np.isnan(ScalarDelta(apart.geometry).forward(0.0, 0.0, 0.0)).all()
@@ -314,5 +313,5 @@ def test_a_singular_pose_is_flagged_and_does_not_affect_its_neighbours() -> None
     solved = delta.inverse([point, (0.0, 0.0, 0.1)])
     assert Status.NEAR_TYPE_2 in Status(int(np.asarray(solved.status)[0]))
     jacobian = delta.jacobian([point, (0.0, 0.0, 0.1)])
-    assert np.asarray(jacobian.condition)[0] > 1e12
+    assert abs(np.asarray(jacobian.determinant)[0]) < 1e-12
     assert np.isfinite(jacobian.matrix[1]).all()

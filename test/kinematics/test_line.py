@@ -13,9 +13,8 @@ from hypothesis import strategies as st
 
 from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_kinematics import Delta, DeltaGeometry, Status
-from deltacharger_kinematics.geometry import LimbAdjustment
+from deltacharger_kinematics.geometry import NO_ANSWER, LimbAdjustment
 from deltacharger_kinematics.line import ARM_ACCELERATION, ARM_SPEED, PEAK_SPEED, REFUSED, Line, LineRefused, plan_line
-from deltacharger_kinematics.status import NO_ANSWER
 from deltacharger_sim.parameters import ServoParameters
 
 from ..marks import night
