@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
@@ -218,8 +218,10 @@ class Scene(SceneContent):
         if name == "docking_node" and self._simulates_a_target and "target_profiles" not in parameters:
             parameters = SIMULATED_TARGET | parameters
         if NODES[name].sees_target and self.simulation is not None:
+            from deltacharger_sim.charger.parameters import target_numbers  # numpy, which few scenes need
+
             target = self.simulation.world.target
-            parameters = {f"target_{item.name}": getattr(target, item.name) for item in fields(target)} | parameters
+            parameters = {"target": target_numbers(target), "target_present": target.present} | parameters
         if NODES[name].takes_scene_name:
             parameters = {"scene": self.name} | parameters
         port = NODES[name].port

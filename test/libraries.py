@@ -5,6 +5,7 @@ from __future__ import annotations
 
 _OF: dict[str, tuple[str, ...]] = {
     "tactile_node": ("serial",),
+    "mock_tactile_node": ("serial",),
     "servo_node": ("dynamixel_sdk", "serial"),
     "simulated_charger": ("serial",),
     "camera_node": ("depthai", "lz4", "mcap", "zstandard"),

@@ -41,6 +41,8 @@ from deltacharger_vision.terminal import turn
 
 _PAUSE = 0.05  # s between two checks for subscribers
 _ARM = 1.0  # s that an image waits for the arm's angles
+_MOVED, _TURNED = 0.002, 0.0087  # m and rad, standard deviations of a mount error of 1
+_BOXES = 6  # for each object that resembles electrodes
 
 
 def _mounted(given: SimulatedCameraNodeParameters, random: np.random.Generator) -> Array:
@@ -50,37 +52,9 @@ def _mounted(given: SimulatedCameraNodeParameters, random: np.random.Generator) 
         VisionError: the mount is not a valid pose.
     """
     pose = Mount.from_numbers(given.mount).pose
-    pose[:3, :3] = turn(given.hand_eye_rotation_stddev * random.normal(size=3)) @ pose[:3, :3]
-    pose[:3, 3] += given.hand_eye_position_stddev * random.normal(size=3)
+    pose[:3, :3] = turn(given.mount_error * _TURNED * random.normal(size=3)) @ pose[:3, :3]
+    pose[:3, 3] += given.mount_error * _MOVED * random.normal(size=3)
     return pose
-
-
-def _target_pose(given: SimulatedCameraNodeParameters) -> Array:
-    """Return charger_base_T_terminal (4, 4)."""
-    pose = np.eye(4)
-    about_x, about_y = np.array([given.target_tilt_x, 0.0, 0.0]), np.array([0.0, given.target_tilt_y, 0.0])
-    pose[:3, :3] = turn(about_x) @ turn(about_y) @ turn(np.array([0.0, 0.0, given.target_roll]))
-    pose[:3, 3] = given.target_x, given.target_y, given.target_z
-    return pose
-
-
-def _scene(given: SimulatedCameraNodeParameters, random: np.random.Generator) -> RenderedScene:
-    """Return the rest of the scene."""
-    drawn = draw_scene(random, clutter=given.clutter, decoys=given.decoys, target=given.target_present)
-    if given.glare < 0.0:
-        return drawn
-    return dataclasses.replace(drawn, parameters=dataclasses.replace(drawn.parameters, highlight=given.glare))
-
-
-def _board(given: SimulatedCameraNodeParameters) -> tuple[Board, Array] | None:
-    """Return the calibration board on the platform and end_effector_T_board (4, 4), or None.
-
-    Raises:
-        VisionError: the board is unknown, or its pose is invalid.
-    """
-    if not given.board:
-        return None
-    return Board.named(given.board, given.board_size), bracket()
 
 
 class SimulatedCameraNode(Node):
@@ -100,10 +74,11 @@ class SimulatedCameraNode(Node):
         self._random = np.random.default_rng(given.seed)
         try:
             self._mount = _mounted(given, self._random)
-            self._target = _target_pose(given)
-            self._scene = _scene(given, self._random)
-            self._camera = SimulatedCamera(OAK_D.scaled(given.width, given.height))
-            self._board = _board(given)
+            self._target = Mount.from_numbers(given.target).pose
+            decoys = given.clutter // _BOXES
+            self._scene = draw_scene(self._random, given.clutter, decoys, given.target_present)
+            self._camera = SimulatedCamera(OAK_D)
+            self._board = Board.named(given.board, Board.size) if given.board else None
         except VisionError as error:
             raise node_support.StartupError(f"simulated_camera_node: {error}") from error
         self._kinematics = ScalarDelta(DeltaGeometry())
@@ -162,8 +137,7 @@ class SimulatedCameraNode(Node):
         scene = dataclasses.replace(self._scene, foreground=(*self._scene.foreground, *parts))
         if self._board is None:
             return scene
-        board, place = self._board
-        return with_board(scene, board, np.linalg.inv(self._mount) @ shifted(platform) @ place)
+        return with_board(scene, self._board, np.linalg.inv(self._mount) @ shifted(platform) @ bracket())
 
     def _on_servo_state(self, message: ServoState) -> None:
         if len(message.position) == 3 and all(map(math.isfinite, message.position)):

@@ -135,4 +135,4 @@ def test_a_simulated_camera_is_refused_beside_real_servos() -> None:
 
 def test_the_simulated_camera_sees_the_world_s_target() -> None:
     given = scene(x=0.015).node_parameters("simulated_camera_node", {})
-    assert (given["target_x"], given["target_present"], given["clutter"]) == (0.015, True, 6)
+    assert (given["target"][0], given["target_present"], given["clutter"]) == (0.015, True, 6)

@@ -67,7 +67,7 @@ def stamps(images: list[Image]) -> set[tuple[int, int]]:
 def test_a_picture_has_calibration_and_depth_if_subscribed(
     camera: Callable[..., SimulatedCameraNode], viewer: Viewer
 ) -> None:
-    node = camera(target_z=0.1)
+    node = camera(target=[0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0])
     viewer.watch("color/image_raw", "color/camera_info")
     viewer.color()
     assert node.count_subscribers("depth/image_raw") == 0
@@ -86,7 +86,7 @@ def test_the_platform_and_a_board_on_it_are_drawn_at_the_servos_position(
     camera: Callable[..., SimulatedCameraNode], viewer: Viewer
 ) -> None:
     pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
-    camera(seed=3, board="apriltag:36h11:7", board_size=0.03)
+    camera(seed=3, board="apriltag:36h11:7")
     viewer.watch("color/image_raw")
     without = viewer.color().astype(float)
     viewer.arm_at(0.0, 0.0, 0.03)
@@ -100,8 +100,8 @@ def test_the_platform_and_a_board_on_it_are_drawn_at_the_servos_position(
         ({"board": "apriltag:36h11:9999"}, "36h11"),
         ({"board": "chess"}, "board"),
         ({"mount": [0.0] * 7}, "length"),
-        ({"width": 8}, "width"),
-        ({"target_zz": 1.0}, "did you mean"),
+        ({"rate": 0.0}, "rate"),
+        ({"targett": 1.0}, "did you mean"),
     ],
 )
 def test_invalid_parameters_stop_it_at_the_start(
