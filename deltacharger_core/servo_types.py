@@ -102,9 +102,9 @@ class ServoType:
         return self.stall_torque / self.pwm_limit / 16 * TICKS_PER_TURN / (2.0 * math.pi) * 0.001
 
     @property
-    def gains(self) -> tuple[int, int, int]:
-        """Position P, I and D gain with which it is as stiff and as damped as every other type."""
-        return round(SERVO_STIFFNESS / self.stiffness_per_gain), 0, round(SERVO_DAMPING / self.damping_per_gain)
+    def gains(self) -> tuple[int, int]:
+        """Position P and D gain with which it is as stiff and as damped as every other type."""
+        return round(SERVO_STIFFNESS / self.stiffness_per_gain), round(SERVO_DAMPING / self.damping_per_gain)
 
     @property
     def current_bound(self) -> float:
@@ -185,5 +185,4 @@ class MeasuredServos(Bounded):
     stiffness: float = number(SERVO_STIFFNESS, STIFFNESS_MIN, STIFFNESS_MAX, "N·m/rad", "of the position loop")
     torque_constant: float = number(TORQUE_CONSTANT, 0.1, 10.0, "N·m/A", "torque per current")
     position_p_gain: int = number(POSITION_P_GAIN, 1, GAIN_MAX, "", "P gain during the measurement")
-    position_i_gain: int = number(0, 0, GAIN_MAX, "", "I gain during the measurement")
     position_d_gain: int = number(POSITION_D_GAIN, 0, GAIN_MAX, "", "D gain during the measurement")

@@ -32,7 +32,7 @@ BOARD_MARGIN = 0.03
 """s added if the servos are connected to the board: pad sampling and tactile frames have precedence, and on a busy
 computer bytes also wait for tactile_node."""
 
-SERVOS_FOLLOW = {name: name for name in ("torque_constant", "position_p_gain", "position_i_gain", "position_d_gain")}
+SERVOS_FOLLOW = {name: name for name in ("torque_constant", "position_p_gain", "position_d_gain")}
 """Parameters of servo_node that a file of measured servos sets, and their names in that file."""
 OF_TYPE = (*SERVOS_FOLLOW, "current_max")
 """Parameters of servo_node that go with the type of the servos where nobody sets them; the defaults are the MX-64's."""
@@ -63,7 +63,6 @@ class ServoNodeParameters(Bounded):
     position_p_gain: int = number(
         POSITION_P_GAIN, 1, GAIN_MAX, "", "servos' position P gain, register 84: 434 = 15 N·m/rad; the vendor's is 850"
     )
-    position_i_gain: int = number(0, 0, GAIN_MAX, "", "servos' position I gain, register 82")
     position_d_gain: int = number(
         POSITION_D_GAIN, 0, GAIN_MAX, "", "servos' position D gain, register 80: nothing else brakes in mode 5"
     )

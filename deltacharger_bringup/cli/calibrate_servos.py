@@ -97,22 +97,17 @@ def _task(options: argparse.Namespace, docking: dict[str, Any], servo: dict[str,
     """Return arm, gravity and gains as the nodes report them.
 
     Raises:
-        CommandError: servo_node does not report its gains, or has an I gain; docking_node's file cannot be read here.
+        CommandError: servo_node does not report its gains; docking_node's file cannot be read here.
     """
     from deltacharger_records.node_parameters import docking_settings
 
     if not docking:
         log_line("docking_node does not report geometry and gravity; using the nominal ones")
     try:
-        gains = Gains(*(int(servo[f"position_{name}_gain"]) for name in ("p", "i", "d")))
+        gains = Gains(*(int(servo[f"position_{name}_gain"]) for name in ("p", "d")))
         constant = float(servo["torque_constant"])
     except KeyError as error:
         raise CommandError("servo_node does not report its gains; stiffness depends on them") from error
-    if gains.i:
-        raise CommandError(
-            f"position_i_gain of servo_node is {gains.i}: with it the arm moves until it reaches its goal, so its "
-            "stiffness cannot be measured; start the charger with 0"
-        )
     if options.geometry is not None:
         docking = {name: value for name, value in docking.items() if name == "gravity"}
     try:

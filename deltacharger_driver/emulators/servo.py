@@ -426,7 +426,7 @@ class ServoFirmware:
         limit = table.get("current_limit")
         if mode == MODE_CURRENT_POSITION:
             limit = min(limit, abs(table.get("goal_current")))
-        stiff, _, damped = self._usual
+        stiff, damped = self._usual
         gain, braking = table.get("position_p_gain") / stiff, table.get("position_d_gain") / damped
         command = (on, self._reference, limit * self._kind.current_unit, gain, braking)
         if command != self._commanded:

@@ -78,7 +78,7 @@ def motion_registers(servo: ServoType) -> dict[str, int]:
         "operating_mode": MODE_CURRENT_POSITION,
         **{name: table[name].high for name in ("acceleration_limit", "velocity_limit") if name in table},
         **{name: table[name].default for name in ("velocity_i_gain", "velocity_p_gain")},
-        **dict.fromkeys(("feedforward_2_gain", "feedforward_1_gain"), 0),
+        **dict.fromkeys(("position_i_gain", "feedforward_2_gain", "feedforward_1_gain"), 0),
         "goal_pwm": table["goal_pwm"].high,
         **dict.fromkeys(("goal_velocity", "profile_acceleration", "profile_velocity"), 0),
     }

@@ -333,7 +333,7 @@ class JointWatch:
         self._settings, self._reach = settings, settings.reach
         self._constant, self._speed = drive.torque_constant, drive.servo.joint_speed
         self._stiffness = drive.servo.stiffness_per_gain * drive.gains[0]
-        self._damping = drive.servo.damping_per_gain * drive.gains[2]
+        self._damping = drive.servo.damping_per_gain * drive.gains[1]
         self.begin_at((math.nan,) * len(settings.ids))
 
     def begin_at(self, goals: Sequence[float]) -> None:

@@ -67,8 +67,8 @@ READ_BLOCK = (
     *CONSTANT_BLOCK,
 )
 """Registers read in a cycle, made contiguous by indirect addresses: 64, 70, 126, 128, 132, 144, 146, 98, 68, 69."""
-GAINS = ("position_p_gain", "position_i_gain", "position_d_gain")
-"""Registers of the position loop, written at every set-up."""
+GAINS = ("position_p_gain", "position_d_gain")
+"""Registers of the position loop that can be set; the I gain stays 0: it would press up to the current bound."""
 WRITE_BLOCK = ("goal_current", "goal_position")
 """Registers written in a cycle, behind the read block, so that bound and goal change together."""
 
@@ -290,7 +290,7 @@ class Drive:
         torque_constant: N·m/A, converts torque bounds into currents.
         current_max: largest current bound of any goal, A. A servo with a lower current limit would ignore the whole
             goal, so the set-up refuses it.
-        gains: P, I and D of the position loop, as in the registers. They are in RAM and lost at a restart.
+        gains: P and D of the position loop, as in the registers. They are in RAM and lost at a restart.
     """
 
     servo: ServoType
@@ -331,7 +331,7 @@ class BusSettings:
     reply_margin: float = REPLY_MARGIN
     torque_constant: float | None = None
     current_max: float | None = None
-    gains: tuple[int | None, ...] = (None, None, None)
+    gains: tuple[int | None, ...] = (None, None)
     joint_min: float = JOINT_MIN
     joint_max: float = JOINT_MAX
 

@@ -6,8 +6,7 @@ Publishes: servo_state (reliable, depth 1, at `rate`), joint_states, /diagnostic
 Subscribes: joint_trajectory and charger_power (reliable, depth 64; the newest accepted trajectory is followed).
 Serves: set_torque, reboot_servos. Calls: set_contactor, if it exists.
 Parameters: port, baud_rate, ids, rate, zero_ticks, direction, current_max, joint_min, joint_max,
-reply_margin, frame_prefix, joint_prefix; servos_file or torque_constant, position_p_gain, position_i_gain,
-position_d_gain.
+reply_margin, frame_prefix, joint_prefix; servos_file or torque_constant, position_p_gain, position_d_gain.
 
 Of torque_constant, current_max and the gains, what nobody sets is as the servos' type has it.
 

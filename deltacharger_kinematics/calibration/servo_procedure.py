@@ -132,7 +132,6 @@ class Gains:
     """Gains of the position loop during the measurement."""
 
     p: int = POSITION_P_GAIN
-    i: int = 0
     d: int = POSITION_D_GAIN
 
 
@@ -217,7 +216,7 @@ def to_file(measured: MeasuredArm, gains: Gains) -> MeasuredServos:
         ParameterError: a value lies outside the bounds of the nodes.
     """
     stiffness, constant = (float(f"{measured.fit.common(what)[0]:.6g}") for what in (STIFFNESS, CONSTANT))
-    return MeasuredServos(stiffness, constant, gains.p, gains.i, gains.d)
+    return MeasuredServos(stiffness, constant, gains.p, gains.d)
 
 
 def figures(measured: MeasuredArm) -> dict[str, list[tuple[float, float]]]:

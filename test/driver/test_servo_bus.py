@@ -176,11 +176,10 @@ def test_what_other_software_left_in_a_register_that_acts_on_motion_is_overwritt
     line: Any, emulator: ServoBusEmulator, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     emulator.servo(2).table.set(name, 4)
-    bus = ServoBus(BusSettings(line.path, gains=(500, 20, 3)), line.handler)
+    bus = ServoBus(BusSettings(line.path, gains=(500, 3)), line.handler)
     bus.open()
     assert (
-        emulator.servo(2).table.get(name)
-        == (motion_registers(MX_64) | dict(zip(GAINS, (500, 20, 3), strict=True)))[name]
+        emulator.servo(2).table.get(name) == (motion_registers(MX_64) | dict(zip(GAINS, (500, 3), strict=True)))[name]
     )
     bus.close()
     emulator.servo(2).table.set(name, 4)

@@ -74,7 +74,7 @@ def trajectory(*rows: tuple[Any, ...]) -> Any:
 def test_the_mx_64_has_the_constants_of_the_papers_machine() -> None:
     assert MX_64.torque_constant == machine.TORQUE_CONSTANT
     assert (MX_64.stall_torque, MX_64.stall_current) == (machine.STALL_TORQUE, machine.STALL_CURRENT) == (6.0, 4.1)
-    assert MX_64.gains == (machine.POSITION_P_GAIN, 0, machine.POSITION_D_GAIN) == (434, 0, 2715)
+    assert MX_64.gains == (machine.POSITION_P_GAIN, machine.POSITION_D_GAIN) == (434, 2715)
     assert MX_64.stiffness_per_gain == machine.STIFFNESS_PER_GAIN
     assert MX_64.damping_per_gain == machine.DAMPING_PER_GAIN
     assert (MX_64.current_bound, MX_64.joint_speed) == (machine.CURRENT_BOUND, machine.JOINT_SPEED) == (0.83, 4.9)
@@ -103,7 +103,7 @@ def test_the_xm430_has_the_figures_of_its_e_manual() -> None:
 @KINDS
 def test_every_type_is_as_stiff_as_the_others_and_never_hotter_than_its_row_says(kind: ServoType) -> None:
     assert kind.gains[0] * kind.stiffness_per_gain == pytest.approx(machine.SERVO_STIFFNESS, rel=2e-3)
-    assert kind.gains[2] * kind.damping_per_gain == pytest.approx(machine.SERVO_DAMPING, rel=2e-3)
+    assert kind.gains[1] * kind.damping_per_gain == pytest.approx(machine.SERVO_DAMPING, rel=2e-3)
     assert reserve(0.0, kind.heat_current, kind) == pytest.approx(kind.heat_time)
     assert reserve(0.0, 0.99 * math.sqrt(kind.heat_limit / kind.heat_constant), kind) == math.inf
     hot = ThermalModel(kind)
@@ -204,7 +204,7 @@ def test_servo_node_shows_and_uses_the_types_values_unless_they_are_given(contex
         found = {name: node.get_parameter(name).value for name in names}
         node.close()
         node.destroy_node()
-    p, _, d = XM430_W350.gains
+    p, d = XM430_W350.gains
     own = {"torque_constant": 4.1 / 2.3, "position_p_gain": p, "position_d_gain": d, "current_max": 2.3}
     assert found == pytest.approx({**own, **given})
     assert emulator.servo(2).table.get("position_p_gain") == found["position_p_gain"]

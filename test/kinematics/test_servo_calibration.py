@@ -75,8 +75,8 @@ def test_measured_values_match_the_servos(measured: MeasuredArm) -> None:
     assert 0.7 < fit.scatter < 1.4
     assert not doubts(measured, Gains())
     assert not differing(measured)
-    saved = to_file(measured, Gains(500, 1, 2))
-    assert (saved.position_p_gain, saved.position_i_gain, saved.position_d_gain) == (500, 1, 2)
+    saved = to_file(measured, Gains(500, 2))
+    assert (saved.position_p_gain, saved.position_d_gain) == (500, 2)
     *servos, (mean, error) = figures(measured)["stiffness"]
     assert min(servos)[0] <= saved.stiffness <= max(servos)[0]
     assert saved.stiffness == pytest.approx(mean, rel=1e-5)

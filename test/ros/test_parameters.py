@@ -260,8 +260,8 @@ def test_every_node_uses_the_values_of_the_file_or_the_defaults(
     emulator = ServoBusEmulator(BenchArm())
     with PseudoTerminal(emulator, tmp_path / "servo") as terminal:
         node = ServoNode(**options(context, namespace, port=terminal.path, **file))
-        values = parameters(node, "torque_constant", "position_p_gain", "position_i_gain", "position_d_gain")
-    assert values == [constant, gain, 0, braking]
+        values = parameters(node, "torque_constant", "position_p_gain", "position_d_gain")
+    assert values == [constant, gain, braking]
     assert [emulator.servo(servo).table.get("position_p_gain") for servo in (1, 2, 3)] == [gain] * 3
     docking = DockingNode(**options(context, namespace, **file))
     assert docking._settings.servo_stiffness == stiffness
