@@ -10,11 +10,10 @@ from typing import Any
 
 import pytest
 
-from deltacharger_docking import energy
 from deltacharger_docking.charging import CLEARANCE_PERIOD
 from deltacharger_docking.codes import Code, Rejected, State
-from deltacharger_docking.observation import Command, Decision, DockGoal, Reply, Service
-from deltacharger_sim.parameters import CircuitParameters, PortParameters
+from deltacharger_docking.observation import Command, Decision, DockGoal, Service
+from deltacharger_sim.parameters import CircuitParameters
 from deltacharger_sim.virtual.virtual_charger import GOAL, VirtualCharger
 
 from .dockings import (
@@ -130,26 +129,11 @@ def test_an_offset_across_the_bars_is_corrected_before_pressing() -> None:
     assert wired.run.finish(120.0).success
 
 
-def test_after_an_unsure_first_touch_it_presses_and_judges_then() -> None:
-    wired = Wired(0.0, 0.0)
-    feel(wired.run, times=1, angle=math.radians(2.0), sure=False)
-    wired.docked()
-    assert wired.kinds.index("contact") == wired.kinds.index("touched") + 1, "no verdict between"
-
-
 def test_a_first_touch_with_a_tilt_beyond_the_limit_is_never_pressed_even_if_unsure() -> None:
     wired = Wired(0.0, 0.0)
     feel(wired.run, angle=math.radians(14.0), horizontal=0.0, vertical=0.0, sure=False)  # no place to look elsewhere
     assert wired.run.dock().code is Code.CRITICAL_ANGLE
     assert wired.run.world.record.contacts == 2, "one repeated contact"
-    assert wired.pressed < PRESSED
-    assert_home(wired.run)
-
-
-def test_an_estimator_failure_at_first_touch_retracts_the_arm() -> None:
-    wired = Wired()
-    wired.run.answer[Service.ESTIMATE] = lambda reply: Reply(reply.number, False, "out of order")
-    assert wired.run.dock().code is Code.TACTILE_STALE
     assert wired.pressed < PRESSED
     assert_home(wired.run)
 
@@ -193,16 +177,6 @@ def test_the_arm_retracts_after_docking_was_suspended_or_clearance_is_lost() -> 
     assert_home(run)
 
 
-def test_with_a_second_source_it_does_not_touch(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(energy, "_DUPLICATE_SOURCE_TIMEOUT", 2.0)
-    run = Wired().run
-    spoil(run, duplicate_sources="servo_state: a and b")
-    assert run.dock().code is Code.DUPLICATE_SOURCE
-    assert run.world.record.contacts == 0
-    assert State.MEASURE not in run.states
-    assert_home(run)
-
-
 @pytest.mark.parametrize("hold", [False, True])
 def test_a_stop_condition_undocks_since_nothing_else_ends_the_current(hold: bool) -> None:
     run = Wired(coarse=True).run
@@ -221,12 +195,3 @@ def test_a_stop_condition_undocks_since_nothing_else_ends_the_current(hold: bool
     run.machine.cancel()
     assert run.finish(30.0).code is Code.CANCELED
     assert_home(run)
-
-
-def test_a_target_of_higher_voltage_feeds_back_unnoticed() -> None:
-    """The documentation warns of this: nothing is measured, so nothing is reported."""
-    run = Wired(port=PortParameters(voltage=29.0)).run
-    outcome = run.dock()
-    assert outcome.success
-    assert run.world.snapshot().charge_current < -1.0
-    assert math.isnan(outcome.charge_current)

@@ -16,7 +16,7 @@ import pytest
 
 from deltacharger_core.machine import ChargeLimits
 from deltacharger_docking import charging, context
-from deltacharger_docking.codes import Code, NoChargeCurrent
+from deltacharger_docking.codes import NoChargeCurrent
 from deltacharger_docking.observation import Observation
 from deltacharger_docking.parameters import DockingParameters, TargetProfile
 from deltacharger_kinematics.geometry import DeltaGeometry
@@ -217,14 +217,6 @@ def test_dirt_lowers_the_current_and_never_shows_a_full_battery() -> None:
     assert len(hot) * PERIOD < 10.0, "the voltage's rise calls for an early dip"
 
 
-@pytest.mark.parametrize("dirt", [20.0, 60.0])
-@pytest.mark.parametrize("volts", [19.5, 24.0, 27.0])
-def test_a_film_on_the_electrodes_ends_charging(dirt: float, volts: float) -> None:
-    target = Target(volts)
-    with pytest.raises(NoChargeCurrent, match=r"clean the electrodes|not full"):
-        Charge().run(target, 90.0, set_at(target, 20.0, dirt=dirt))
-
-
 def test_a_contact_that_is_dirty_from_the_start_shows_against_the_cleanest_one() -> None:
     charge = Charge()
     assert charge.run(Target(24.0), 20.0) == ""
@@ -238,7 +230,3 @@ def test_nothing_is_known_about_the_contacts_of_a_dead_port() -> None:
     charge, target = Charge(replace(SEVEN, port="dead")), Target(24.0, rate=0.002)
     assert charge.run(target, 900.0) == "current below 0.5 A"
     assert min(charge.limits) == 10.0
-
-
-def test_the_error_of_a_cut_can_be_tried_again() -> None:
-    assert (NoChargeCurrent.code, NoChargeCurrent.retriable) == (Code.NO_CHARGE_CURRENT, True)

@@ -14,12 +14,11 @@ from typing import Any
 
 import pytest
 
-from deltacharger_core.texts import REQUEST_ID_MAX
 from deltacharger_docking import energy, release
 from deltacharger_docking.charging import CLEARANCE_PERIOD
-from deltacharger_docking.codes import Busy, Code, DockingError, Rejected, State
+from deltacharger_docking.codes import Busy, Code, State
 from deltacharger_docking.observation import DockGoal, Observation, Reply, Service
-from deltacharger_sim.parameters import CircuitParameters, ContactParameters, PortParameters, TargetParameters
+from deltacharger_sim.parameters import CircuitParameters, PortParameters
 from deltacharger_sim.virtual.virtual_charger import GOAL, VirtualCharger
 
 from ..marks import rest
@@ -69,16 +68,6 @@ def test_a_goal_without_charging_ends_charging_and_keeps_the_contact() -> None:
     assert run.world.record.broken_current < 1.5, "it was ramped down first"
 
 
-def test_electrodes_that_lift_to_repeat_a_contact_are_not_docked_until_they_rest_again() -> None:
-    run = docked(start_charging=False, coarse=True)
-    feel(run, times=1, angle_stddev=0.04)  # rad; at six standard deviations no clearance is sure
-    reach(run, State.CONTACT)
-    assert run.world.misalignment is None
-    assert not run.machine.status.docked
-    assert run.finish(20.0).success
-    assert run.machine.status.docked
-
-
 def test_a_docked_target_is_energised_in_place_after_a_new_clearance_measurement() -> None:
     run = docked(start_charging=False)
     contacts, sent = run.world.record.contacts, commands(run)
@@ -97,17 +86,6 @@ def test_a_target_that_turned_while_docked_is_not_energised_in_place() -> None:
     assert run.dock().code is Code.CRITICAL_ANGLE
     assert run.world.record.energised == 0.0
     assert_safe_at_home(run)
-
-
-def test_a_docked_target_that_has_moved_away_is_docked_again() -> None:
-    run = docked(start_charging=False, coarse=True)
-    contacts = run.world.record.contacts
-    run.begin(DockGoal(GOAL))
-    spoil(run, tactile_contact=False)
-    run.tick()
-    spoil(run)
-    assert run.finish(120.0).success
-    assert run.world.record.contacts > contacts
 
 
 def test_repeated_goals_do_not_delay_the_clearance_check() -> None:
@@ -211,24 +189,6 @@ def test_current_that_tapers_off_means_a_full_target(hold: bool) -> None:
         assert run.outcome.charge_voltage == pytest.approx(29.4, abs=0.1)
 
 
-@pytest.mark.parametrize(("wait", "code"), [(1.0, Code.NO_CHARGE_CURRENT), (150.0, Code.NONE)])
-def test_current_that_is_cut_off_means_a_full_target_only_at_full_voltage(wait: float, code: Code) -> None:
-    run = quick_charger(port=FILLING, coarse=True)
-    run.begin(DockGoal(GOAL, hold=True))
-    run.until(lambda: run.machine.status.charging, 60.0)
-    run.run(wait)
-    assert run.world.snapshot().contactor_closed
-    spoil(run, charge_current=0.0, least_current=0.0)
-    run.run(0.15)
-    assert run.machine.status.charging, "gap_time has not passed"
-    run.until(lambda: not run.machine.status.charging, 0.3)
-    spoil(run)
-    outcome = run.finish(30.0)
-    assert outcome.code is code
-    assert outcome.charge_end == ("full: cut by the target" if code is Code.NONE else "NO_CHARGE_CURRENT")
-    assert outcome.retriable == (code is not Code.NONE)
-
-
 def jump(run: VirtualCharger, seconds: float) -> None:
     run.distort = lambda seen: replace(seen, time=seen.time + seconds)
 
@@ -242,51 +202,6 @@ def test_a_clock_that_jumps_opens_the_contactor(seconds: float) -> None:
     run.until(lambda: run.machine.status.state is State.IDLE, 30.0)
     assert run.machine.status.code is Code.POWER_STALE
     assert_safe_at_home(run)
-
-
-@pytest.mark.parametrize("seconds", [3600.0, -3600.0])
-def test_a_goal_ends_in_time_despite_clock_jumps(seconds: float) -> None:
-    run = quick_charger()
-    reach(run, State.MEASURE)
-    jump(run, seconds)
-    outcome = run.finish(run.parameters.goal_timeout)
-    assert outcome.success if seconds < 0.0 else outcome.code is Code.TIMEOUT
-    assert (run.machine.status.state is State.IDLE) != outcome.success
-
-
-def test_a_goal_that_can_never_be_served_is_refused_for_good_also_while_another_one_is() -> None:
-    run = docked()
-    run.begin(DockGoal(GOAL, hold=True))
-    far = replace(GOAL, position=(0.0, 0.0, 0.5))
-    for goal in (DockGoal(far), DockGoal(GOAL, stop_after=-1.0), DockGoal(GOAL, target_profile="unheard")):
-        with pytest.raises(DockingError) as refusal:
-            run.machine.start_dock(goal, run.observe())
-        assert not refusal.value.retriable
-    with pytest.raises(Rejected) as refusal:
-        run.machine.start_undock("x" * (REQUEST_ID_MAX + 1), run.observe())
-    assert not refusal.value.retriable
-    for act in (lambda: run.machine.start_dock(DockGoal(GOAL), run.observe()), run.machine.check_free):
-        with pytest.raises(Busy):
-            act()
-
-
-def lose_contact(run: VirtualCharger) -> None:
-    """The target is nudged away for a moment."""
-    spoil(run, currents=(0.0, 0.0, 0.0))
-    run.until(lambda: run.machine.status.state is State.RETRACT, 1.0)
-    spoil(run)
-
-
-def test_after_a_nudge_the_arm_goes_home_and_a_client_may_dock_again() -> None:
-    run = docked(coarse=True)
-    lose_contact(run)
-    with pytest.raises(Busy):
-        run.machine.start_dock(DockGoal(GOAL), run.observe())
-    until_idle(run)
-    assert run.machine.status.code is Code.NO_CONTACT
-    assert_safe_at_home(run)
-    assert run.dock().success
-    assert run.world.record.parted_live == 0
 
 
 def cancel_while_the_camera_looks(run: VirtualCharger) -> None:
@@ -336,34 +251,11 @@ def away(run: VirtualCharger) -> float:
     return math.dist(run.world.snapshot().position, run.parameters.home)
 
 
-@pytest.mark.parametrize(
-    ("answer", "code"),
-    [
-        (lambda reply: None, Code.TACTILE_STALE),
-        (lambda reply: replace(reply, estimate=replace(reply.estimate, sure=False)), Code.ESTIMATE_UNSURE),
-    ],
-)
-def test_charging_ends_without_estimates_of_the_clearance(answer: Callable[[Reply], Reply | None], code: Code) -> None:
-    run = docked(coarse=True)
-    run.answer[Service.ESTIMATE] = answer
-    until_open(run, 15.0)
-    assert run.machine.status.code is code
-
-
 def test_one_unsure_estimate_does_not_end_charging() -> None:
     run = docked(coarse=True)
     feel(run, times=2, sure=False)
     run.run(8.0)
     assert run.machine.status.charging
-
-
-def test_the_next_goal_does_not_pull_electrodes_off_a_welded_contactor() -> None:
-    run = docked(circuit=CircuitParameters(welded=True))
-    assert run.undock().code is Code.CONTACTOR_WELDED
-    assert run.dock().code is Code.CONTACTOR_WELDED
-    run.run(1.0)
-    assert run.world.record.parted_live == 0
-    assert run.observe().torque_enabled
 
 
 def test_a_failure_right_after_the_close_waits_until_the_contactor_is_open() -> None:
@@ -404,36 +296,6 @@ def test_retracting_ends_with_any_servo_data(monkeypatch: pytest.MonkeyPatch, fa
     assert not run.observe().torque_enabled
 
 
-def test_soft_electrodes_are_pulled_off_before_the_arm_goes_home() -> None:
-    run = docked(start_charging=False, contact=ContactParameters(stiffness=4e3))
-    assert run.undock().success
-    assert away(run) < 0.004, "success only at home"
-
-
-def test_undocking_an_arm_below_home_stays_in_its_reach() -> None:
-    run = quick_charger(parameters={"home_z": 0.03}, target=TargetParameters(present=False))
-    assert run.undock().success
-    assert run.world.snapshot().position[2] == pytest.approx(0.03, abs=0.002)
-
-
-def test_undocking_moves_a_limp_arm_home_even_without_contact_at_the_pads() -> None:
-    run = docked(start_charging=False)
-    run._torque = False
-    run.run(0.5)
-    spoil(run, tactile_contact=False)
-    assert run.undock().success
-    assert away(run) < 0.004
-
-
-def test_a_pull_that_the_servos_lost_is_repeated() -> None:
-    run = docked(start_charging=False)
-    run.outcome = None
-    run.machine.start_undock("", run.observe())
-    run.run(0.06)
-    run._trajectory, run._goal = (), run._angles()
-    assert run.finish(30.0).success
-
-
 def test_undocking_fails_while_the_torque_stays_on() -> None:
     run = docked()
     serve = run._reply
@@ -447,22 +309,6 @@ def test_undocking_fails_while_the_torque_stays_on() -> None:
     assert "still reports" in outcome.message
 
 
-def test_a_docking_node_that_was_restarted_lifts_off_before_it_tares() -> None:
-    run = docked(coarse=True)
-    run.machine = run._make_machine()
-    run.run(0.2)
-    contacts, touching = run.world.record.contacts, []
-
-    def tare(reply: Reply) -> Reply:
-        touching.append(run.world.snapshot().contact_force > 0.0)
-        return reply
-
-    run.answer[Service.TARE] = tare
-    assert run.dock().success
-    assert touching == [False]
-    assert run.world.record.contacts > contacts
-
-
 def test_a_fault_latched_before_docking_is_cleared_once() -> None:
     run = quick_charger()
 
@@ -472,15 +318,6 @@ def test_a_fault_latched_before_docking_is_cleared_once() -> None:
 
     run.answer[Service.OPEN] = clear
     spoil(run, power_fault=8)
-    assert run.dock().success
-
-
-def test_after_an_emergency_a_much_later_goal_is_served() -> None:
-    run = quick_charger()
-    reach(run, State.CONTACT)
-    run.machine.emergency()
-    run.now += 60.0
-    run.run(0.5)
     assert run.dock().success
 
 
@@ -531,17 +368,6 @@ def test_the_contactor_stays_open_while_there_is_a_second_source(
     until_idle(run)
 
 
-def test_a_second_source_that_comes_and_goes_counts_like_one_that_stays(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(energy, "_DUPLICATE_SOURCE_TIMEOUT", 2.0)
-    run = quick_charger()
-    reach(run, State.MEASURE)
-    run.distort = lambda seen: replace(seen, duplicate_sources=NAMES if int(9.2 * seen.time) % 2 else "")
-    outcome = run.finish(20.0)
-    assert outcome.code is Code.DUPLICATE_SOURCE
-    assert NAMES in outcome.message
-    assert not outcome.aligned, "no failed goal says so"
-
-
 @pytest.mark.parametrize("begins", [rest(State.CONTACT), State.MEASURE])
 def test_an_estimate_made_during_a_second_source_allows_no_current(begins: State) -> None:
     """A second source that has disappeared before closing may have sent the estimate, so it is repeated."""
@@ -555,19 +381,3 @@ def test_an_estimate_made_during_a_second_source_allows_no_current(begins: State
     assert run.finish(120.0).success
     assert len(decisions(sent, "measured")) > before
     run.until(lambda: run.world.snapshot().contactor_closed, 1.0)
-
-
-def test_a_second_source_during_charging_is_reported_and_opens_nothing() -> None:
-    run = docked(coarse=True)
-    spoil(run, duplicate_sources=NAMES)
-    run.run(6.0)
-    assert run.machine.status.charging
-    assert run.machine.status.duplicate_sources == NAMES
-
-
-def test_a_restarted_node_gets_as_much_time_as_a_new_one() -> None:
-    run = quick_charger()
-    run.run(1.0)
-    since = run.now
-    run.distort = lambda seen: replace(seen, tactile_age=seen.time - since + 5.0) if seen.time < since + 2.0 else seen
-    assert run.dock().success

@@ -9,14 +9,12 @@ from typing import Any
 import pytest
 from builtin_interfaces.msg import Time
 from deltacharger.msg import ElectrodeDetection
-from deltacharger.srv import DetectElectrodes
 from geometry_msgs.msg import PoseStamped, Quaternion
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 from deltacharger_core.frames import IDENTITY, TransformParameters, product, rotation
-from deltacharger_core.parameters import ParameterError
 from deltacharger_core.texts import MESSAGE_MAX
 from deltacharger_docking.arm import Planner
 from deltacharger_docking.codes import Rejected
@@ -61,11 +59,6 @@ def turned(yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> tuple[flo
 
 def quaternion(numbers: tuple[float, ...]) -> Quaternion:
     return Quaternion(**dict(zip("xyzw", numbers, strict=True)))
-
-
-def test_a_base_pose_with_a_zero_quaternion_is_refused_by_name() -> None:
-    with pytest.raises(ParameterError, match=r"base_pose.*quaternion"):
-        DockingNodeParameters(base_pose=(0.3, 0.0, 0.2, 0.0, 0.0, 0.0, 0.0))
 
 
 def roll_of(numbers: tuple[float, ...]) -> float:
@@ -240,27 +233,3 @@ def test_torque_on_never_overtakes_torque_off_when_servo_node_appears_late(node:
     services.call(Request(2, Service.TORQUE_OFF))
     wait_until(lambda: services.take() and len(received) == 2, "both calls")
     assert received == [True, False]
-
-
-@pytest.mark.ros
-def test_pending_requests_of_a_failed_goal_are_not_sent(node: Node, services: Services) -> None:
-    services.call(Request(1, Service.TORQUE_ON))
-    services.call(Request(2, Service.TORQUE_OFF))
-    services.forget()
-    received = serve_torque(node)
-    wait_until(lambda: services.take() and received, "the call that makes safe")
-    assert received == [False]
-
-
-@pytest.mark.ros
-def test_a_contradictory_detection_fails_with_its_reason(node: Node, services: Services) -> None:
-    def lie(request: Any, response: Any) -> Any:
-        response.success, response.detection.roll = True, 0.1  # beside an orientation without a roll
-        response.detection.header.frame_id = "charger_base"
-        return response
-
-    node.create_service(DetectElectrodes, "detect_electrodes", lie, callback_group=ReentrantCallbackGroup())
-    services.call(Request(1, Service.DETECT, timeout=5.0))
-    answer = reply(services)
-    assert (answer.success, answer.detection) == (False, None)
-    assert "contradicts itself" in answer.message

@@ -30,7 +30,7 @@ from rosgraph_msgs.msg import Clock
 from deltacharger_core.texts import REQUEST_ID_MAX
 from deltacharger_ros.client import ChargerClient
 from deltacharger_ros.messages import CODES, seconds
-from deltacharger_ros.outcomes import DockRequest, Outcome, Progress
+from deltacharger_ros.outcomes import DockRequest, Progress
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import Scene
 
@@ -120,7 +120,6 @@ WRONG = {
 }
 
 
-IN_TF = ("unknown frame", "blank frame", "frame with a newline", "huge place in the robot's frame")
 """Goals of which nothing is known without tf, on whose first lookup live electrodes must not wait."""
 
 
@@ -143,22 +142,6 @@ def test_an_impossible_goal_is_refused_before_anything_moves(
     assert result.alignments == result.redockings == 0
 
 
-@pytest.mark.rest
-def test_an_impossible_goal_is_told_apart_from_one_that_must_wait(charger: RunningCharger, raw: RawGoals) -> None:
-    held = raw.send(goal_with(hold=True))
-    wait_until(lambda: charger.state.charging, "charging")
-    assert raw.result(pose()).retriable
-    for name, goal in WRONG.items():
-        if name not in IN_TF:
-            result = raw.result(goal)
-            assert (result.success, result.retriable) == (False, False), (name, result.error_message)
-    assert not raw.result(Undock.Goal(request_id="x" * 300)).retriable
-    assert raw.result(Undock.Goal()).retriable
-    assert charger.is_closed
-    held.cancel_goal_async()
-    wait_until(lambda: charger.state.state == DockingState.STATE_IDLE, "the end")
-
-
 @pytest.mark.parametrize(("fault", "name"), [("beyond_reach", "UNREACHABLE"), ("leaning", "LEANING")])
 def test_a_bad_detection_is_refused_with_a_suggested_base_pose(charger: RunningCharger, fault: str, name: str) -> None:
     servos = charger.node("mock_servo_node")
@@ -169,15 +152,6 @@ def test_a_bad_detection_is_refused_with_a_suggested_base_pose(charger: RunningC
     assert servos.position == pytest.approx(before, abs=1e-3)
     yaw = outcome.details["suggested_base_pose"]["yaw"]
     assert yaw == pytest.approx(math.radians(10.0) if name == "LEANING" else 0.0)
-
-
-@pytest.mark.rest
-def test_a_refused_contactor_is_reported_with_the_boards_message(charger: RunningCharger) -> None:
-    charger.set("mock_tactile_node", fault="contactor_refusal")
-    outcome = charger.dock(DockRequest(None))
-    assert not outcome.success
-    assert "interlock" in outcome.error_message, outcome
-    assert not charger.is_closed
 
 
 @pytest.mark.rest
@@ -266,31 +240,6 @@ def test_wrong_messages_on_a_topic_end_charging(charger: RunningCharger, monkeyp
     assert any("charging → retract" in line and "SERVO_STALE" in line for line in warned), warned
     monkeypatch.undo()
     bring_home(charger)
-
-
-@pytest.mark.rest
-def test_of_simultaneous_clients_one_is_served_and_the_others_may_retry(charger: RunningCharger, context: Any) -> None:
-    """And every client that docks when docked gets its result."""
-    clients = [ChargerClient(charger.namespace, context) for _ in range(4)]
-    assert all(client.wait_until_ready(DEADLINE) for client in clients)
-    for docked in (False, True):
-        start, outcomes = threading.Barrier(len(clients)), list[Outcome]()
-
-        def dock(client: ChargerClient, start: Any = start, outcomes: list[Outcome] = outcomes) -> None:
-            start.wait()
-            outcomes.append(client.dock(GOAL, deadline=DEADLINE))
-
-        threads = [threading.Thread(target=dock, args=(client,)) for client in clients]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join(DEADLINE)
-        assert len(outcomes) == len(clients)
-        refused = [outcome for outcome in outcomes if not outcome.success]
-        assert len(refused) < len(clients) if docked else len(refused) == len(clients) - 1, outcomes
-        assert {(outcome.error_name, outcome.retriable) for outcome in refused} <= {("REJECTED", True)}
-    for client in clients:
-        client.close()
 
 
 _DYING = """
@@ -394,22 +343,6 @@ def test_a_held_charger_moves_nothing_and_serves_queued_goals_after_release(quic
         composition.release()
         wait_until(ended.done, "the docking")
         assert ended.result().result.success, ended.result().result.error_message
-
-
-@pytest.mark.rest
-def test_a_charger_that_was_never_released_does_not_disturb_another_of_its_name(
-    charger: RunningCharger, quick_scene: Scene, context: Any
-) -> None:
-    charger.charge()
-    count = charger.client.node.count_publishers
-    assert count("dock/_action/feedback") == 1
-    alone = replace(quick_scene, nodes=("docking_node",))
-    with Composition(alone, context, charger.namespace, held=True):
-        wait_until(lambda: count("dock/_action/feedback") == 2, "the second charger")
-    wait_until(lambda: count("dock/_action/feedback") == 1, "its end")
-    assert charger.is_closed
-    charger.wait_until_single()
-    charger.go_home()
 
 
 _STEP = 0.01  # s of real time between two messages

@@ -218,39 +218,3 @@ def test_it_docks_at_a_goal_in_map_only_while_localization_runs(quick_scene: Sce
         assert values["roll_rad"] == pytest.approx(0.0, abs=1e-9)
         assert accepted.header.frame_id == "left/charger_base"
         localization.cancel()
-
-
-def test_all_frames_that_two_chargers_publish_are_their_own(quick_scene: Scene, context: Any) -> None:
-    """With tf or without: data in the frames of one charger are not used for the other."""
-    with framed(quick_scene, context, "left/") as left, framed(quick_scene, context, "right/") as right:
-        for charger, prefix, foreign in ((left, "left/", "right/"), (right, "right/", "left/")):
-            received = _frame_ids(charger)
-            result = charger.dock("", TARGET)  # by the camera, so that a detection is published
-            assert result.success, result.error_message
-            wait_until(lambda received=received: all(received.values()), "a message of each topic")
-            assert {frame.removesuffix("charger_base").removesuffix("end_effector") for frame in received.values()} == {
-                prefix
-            }
-            assert result.misalignment.header.frame_id == f"{prefix}end_effector"
-            assert charger.running.dock().success, "the client names the frame by itself"
-            assert charger.dock(f"{prefix}charger_base", TARGET).success
-            assert CODES[charger.dock(f"{foreign}charger_base", TARGET).error_code] == "REJECTED"
-
-
-def _frame_ids(charger: Framed) -> dict[str, str]:
-    """Return the frame_id of each topic of a charger that has one, after its first message."""
-    node: Any = charger.running.client.node
-    assert charger.running.composition is not None
-    own = [each.node for each in charger.running.composition.nodes]
-    ends = {each.topic_name: each.msg_type for every in own for each in every.publishers}
-    stamped = {name: kind for name, kind in ends.items() if "header" in kind.get_fields_and_field_types()}
-    received = {name: "" for name in stamped if not name.endswith(("diagnostics", "trajectory", "misalignment"))}
-    assert len(received) >= 8, sorted(received)
-    for name in received:
-        node.create_subscription(
-            stamped[name],
-            name,
-            lambda message, name=name: received.__setitem__(name, message.header.frame_id),
-            qos.SENSOR,
-        )
-    return received

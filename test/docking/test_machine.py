@@ -6,19 +6,17 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
-from deltacharger_core.machine import BATTERY_MAX
 from deltacharger_docking import algorithm
 from deltacharger_docking.charging import CLEARANCE_PERIOD
-from deltacharger_docking.codes import Code, Rejected, State, Unreachable
+from deltacharger_docking.codes import Code, State
 from deltacharger_docking.observation import BasePose, DockGoal, DockingOutcome, ElectrodePose, Reply, Service
-from deltacharger_sim.parameters import ContactParameters, PlatformParameters, ServoParameters, TargetParameters
+from deltacharger_sim.parameters import ContactParameters, PlatformParameters, TargetParameters
 from deltacharger_sim.virtual.virtual_charger import GOAL, VirtualCharger
 
 from ..marks import rest
-from .dockings import MILLIMETRE, assert_safe_at_home, charger, feel, quick_charger, reach, spoil
+from .dockings import MILLIMETRE, assert_safe_at_home, charger, feel, quick_charger, spoil
 
 REFUSED = {Code.CRITICAL_ANGLE, Code.ESTIMATE_UNSURE, Code.NO_TACTILE_CONTACT}
 CHARGED, EITHER = {Code.NONE}, {Code.NONE, Code.CRITICAL_ANGLE, Code.MISALIGNED}
@@ -80,23 +78,6 @@ def test_a_tilt_is_charged_up_to_seven_degrees_refused_from_twelve_and_never_sho
         assert_safe_at_home(run)
 
 
-def test_a_rolled_detection_is_refused_before_contact() -> None:
-    run = quick_charger()
-    outcome = run.dock(DockGoal(ElectrodePose((0.0, 0.0, 0.080), math.radians(10), math.radians(1.2))))
-    assert outcome.code is Code.CRITICAL_ANGLE
-    assert run.world.record.contacts == 0
-    assert_safe_at_home(run)
-
-
-@pytest.mark.parametrize(("z", "stiffness"), [(0.0, 10.0), rest(8.0, 2.5), rest(-8.0, 20.0), rest(8.0, 20.0)])
-def test_it_rests_in_the_band_whatever_the_stiffness_and_depth(stiffness: float, z: float) -> None:
-    target, servo = TargetParameters(z=0.080 + z * MILLIMETRE), ServoParameters(stiffness=stiffness)
-    run = charger(parameters={"servo_stiffness": stiffness}, target=target, servo=servo, coarse=True)
-    outcome = run.dock(DockGoal(GOAL, start_charging=False))
-    assert outcome.success, outcome.message
-    assert 0.4 <= outcome.contact_current <= 0.5
-
-
 @pytest.mark.parametrize(
     ("x", "y", "parameters", "code"),
     [
@@ -123,23 +104,6 @@ def test_after_an_unsure_estimate_contact_is_repeated_once_and_then_fails() -> N
     assert run.dock().code is Code.ESTIMATE_UNSURE
     assert run.world.record.contacts == 2
     assert_safe_at_home(run)
-
-
-@pytest.mark.parametrize(
-    ("goal", "error"),
-    [
-        (DockGoal(ElectrodePose((math.nan, 0, 0.08), 0.0)), Rejected),
-        (DockGoal(GOAL, critical_angle=math.nan), Rejected),
-        (DockGoal(ElectrodePose((0.3, 0, 0.08), 0.0)), Unreachable),
-        (DockGoal(ElectrodePose((0, 0, 0.5), 0.0)), Unreachable),
-    ],
-)
-def test_impossible_goals_move_nothing(goal: DockGoal, error: type[Exception]) -> None:
-    run = charger()
-    with pytest.raises(error):
-        run.begin(goal)
-    run.run(0.1)
-    assert math.dist(run.world.snapshot().position, run.parameters.home) < MILLIMETRE
 
 
 @pytest.mark.parametrize(
@@ -174,17 +138,6 @@ def test_docking_reports_what_it_waits_for(service: Service, name: str) -> None:
     assert run.machine.status.waiting_for == ""
 
 
-def test_nodes_without_messages_are_awaited_by_name() -> None:
-    run = quick_charger(coarse=True)
-    spoil(run, servo_age=math.inf, servos_valid=False)
-    run.begin(DockGoal(GOAL))
-    run.run(1.0)
-    assert run.machine.status.waiting_for == "servo_state and tactile_frame"
-    spoil(run)
-    run.until(lambda: run.machine.status.waiting_for == "", 5.0)
-    assert run.finish(60.0).success
-
-
 @pytest.mark.parametrize(("volts", "code"), [(23.6, Code.VOLTAGE_OUT_OF_RANGE), (math.nan, Code.POWER_STALE)])
 def test_a_battery_that_is_unfit_or_unknown_is_not_energised(volts: float, code: Code) -> None:
     run = quick_charger()
@@ -194,37 +147,6 @@ def test_a_battery_that_is_unfit_or_unknown_is_not_energised(volts: float, code:
     assert "own battery" in outcome.message
     assert run.world.record.contacts == 0, "it is known before anything touches"
     assert_safe_at_home(run)
-
-
-def test_a_battery_that_becomes_unfit_during_docking_is_not_energised() -> None:
-    run = quick_charger()
-    reach(run, State.CONTACT)
-    spoil(run, battery_voltage=20.0)
-    assert run.finish(60.0).code is Code.VOLTAGE_OUT_OF_RANGE
-    assert run.world.record.energised == 0.0
-    assert_safe_at_home(run)
-
-
-@pytest.mark.parametrize(("charges", "power_age"), [(False, 0.0), (True, math.inf)])
-def test_it_docks_without_charging_or_before_the_first_voltage(charges: bool, power_age: float) -> None:
-    run = quick_charger()
-    spoil(run, battery_voltage=math.nan, power_age=power_age)
-    run.dock(DockGoal(GOAL, start_charging=charges))
-    assert run.world.record.contacts > 0
-    assert run.world.record.energised == 0.0
-
-
-OWN_BATTERY = ("battery_voltage_min", "battery_voltage_start")
-
-
-@pytest.mark.parametrize(
-    ("volts", "parameters"), [(23.7, {}), (BATTERY_MAX, {}), (19.0, dict.fromkeys(OWN_BATTERY, 18.0))]
-)
-def test_the_bounds_themselves_are_in_range(volts: float, parameters: dict[str, float]) -> None:
-    """Also as charger_power carries them, in 32 bits; another battery has its own."""
-    run = quick_charger(parameters=parameters)
-    spoil(run, battery_voltage=float(np.float32(volts)))
-    assert run.dock().success
 
 
 STIFF = 1e6  # N/m; softer bars both press in spite of 2° of pitch

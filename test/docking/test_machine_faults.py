@@ -27,7 +27,6 @@ from deltacharger_docking.codes import Canceled, Code, State
 from deltacharger_docking.observation import Command, DockGoal, ElectrodePose, Observation, Reply, Request, Service
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_driver.board.protocol import BoardFault
-from deltacharger_driver.emulators.power import PortParameters, TargetPort
 from deltacharger_kinematics.trajectory_feed import Waypoint
 from deltacharger_sim.parameters import TargetParameters, WorldParameters
 from deltacharger_sim.virtual.virtual_charger import GOAL, TICK, Effort, VirtualCharger
@@ -445,50 +444,6 @@ def test_motion_ends_with_the_machine(state: State) -> None:
         assert state is not State.ALIGN or (max(run._bound) < 1.5 and run.world.record.contacts == 1)
 
 
-@pytest.mark.parametrize(
-    ("port", "code"),
-    [
-        ({"voltage": -24.0}, Code.REVERSE_POLARITY),
-        ({"voltage": 6.0}, Code.VOLTAGE_OUT_OF_RANGE),
-        ({"voltage": 40.0}, Code.VOLTAGE_OUT_OF_RANGE),
-        ({"diode": 0.4}, Code.NO_CHARGE_CURRENT),
-        ({"accepts": False}, Code.NO_CHARGE_CURRENT),
-        ({"voltage": 0.0, "bleeder": 0.1}, Code.SHORT_CIRCUIT),
-    ],
-)
-def test_findings_of_the_probe_and_the_power_stage_end_docking(port: dict[str, float], code: Code) -> None:
-    run = Faulty(off=0.0)
-    run.world.circuit.port = TargetPort(PortParameters(**port))
-    assert run.dock().code is code
-    assert_safe_at_home(run)
-
-
-@pytest.mark.parametrize(
-    ("service", "code"),
-    [
-        (Service.TORQUE_ON, Code.SERVO_FAULT),
-        (Service.TARE, Code.TACTILE_STALE),
-        (Service.ESTIMATE, Code.TACTILE_STALE),
-        (Service.PROBE, Code.POWER_STALE),
-    ],
-)
-def test_failing_services_end_docking(service: Service, code: Code) -> None:
-    run = Faulty(off=0.0)
-    run.answer[service] = lambda reply: Reply(reply.number, False, "out of order")
-    assert run.dock().code is code
-    run.until(lambda: run.machine.status.state is State.IDLE, 30.0)
-    assert not run.closed
-
-
-def test_after_an_emergency_everything_is_off() -> None:
-    run = Faulty(off=0.0)
-    run.reach(State.CHARGING)
-    command = run.machine.emergency()
-    assert not command.energise
-    assert command.trajectory == ()
-    assert not run.machine.busy
-
-
 def test_a_goal_that_an_emergency_ends_keeps_its_account() -> None:
     """What flows until the contactor is open counts too."""
     run = Faulty(off=0.0)
@@ -510,26 +465,6 @@ def test_a_goal_that_an_emergency_ends_keeps_its_account() -> None:
     assert outcome.charge_voltage > 20.0
     assert outcome.contact_current > 0.3
     assert not run.machine.busy
-
-
-def test_an_emergency_on_the_way_back_keeps_the_first_error(run: Faulty) -> None:
-    run.reach(State.CHARGING)
-    run.machine.start_dock(DockGoal(run.found, hold=True), run.observe())
-    run.shown = {"power_fault": 2}
-    run.until(lambda: run.machine.status.state is State.RETRACT, 5.0)
-    run._follow(run.machine.emergency(Canceled("the charger is shutting down")))
-    run.machine.end()
-    run.tick()
-    assert run.outcome is not None
-    assert (run.outcome.code, run.outcome.charge_end) == (Code.SHORT_CIRCUIT, "SHORT_CIRCUIT")
-    assert run.outcome.message == run.machine.status.message != ""
-
-
-def test_no_observation_raises_an_error(run: Faulty) -> None:
-    """The machine answers any data; a machine that raises would leave a goal without result."""
-    run.begin(DockGoal(GOAL))
-    run.distort = lambda seen: replace(Observation(time=seen.time), replies=seen.replies)
-    assert run.finish(60.0).code is Code.SERVO_STALE
 
 
 FAR_WITHOUT_DEPTH = ElectrodePose((0.0, 0.0, 0.08), 0.0, image_range=0.41)
@@ -565,18 +500,6 @@ def test_an_answer_that_arrives_in_the_next_goal_is_ignored(
     run.answer[service] = lambda reply: replace(reply, message="out of order", **own)
     assert run.dock(goal).code is code
     run.assert_never_hurt()
-
-
-def test_every_answer_twice_and_then_in_every_tick_changes_nothing() -> None:
-    once, often = Faulty(off=0.0), Faulty(off=0.0)
-    often.twice = True
-    outcomes = [run.dock(DockGoal(None)) for run in (once, often)]
-    assert outcomes[0].success, outcomes[0].message
-    assert outcomes[0] == outcomes[1]
-    assert once.states == often.states
-    assert once.undock().success
-    assert often.undock().success
-    assert [each.service for each in once.asked] == [each.service for each in often.asked], "nothing was repeated"
 
 
 FROZEN = {"servo_state": Code.SERVO_FAULT, "tactile_frame": Code.NO_TACTILE_CONTACT}
@@ -640,17 +563,6 @@ def test_one_frozen_sensor_does_not_hide_a_target_that_leaves(frozen: str) -> No
     assert run.machine.status.code in (Code.NO_CONTACT, Code.NO_CHARGE_CURRENT, Code.OVERCURRENT)
 
 
-def test_power_that_repeats_itself_as_closed_keeps_the_arm_where_it_is() -> None:
-    """The contactor may still be closed: pulling could draw an arc."""
-    run = Faulty(off=0.0)
-    run.reach(State.CHARGING)
-    run.frozen = "charger_power"
-    assert run.undock().code is Code.CONTACTOR_WELDED
-    assert not run.closed
-    assert run.has_torque
-    run.assert_never_hurt()
-
-
 def test_pads_with_the_same_reading_everywhere_never_energise() -> None:
     """The first estimate, 6 mm off, answers every request: the arm follows it to its limit."""
     run = Faulty(landing_limit=0.0025, overlap_loss_max=0.004)
@@ -666,18 +578,3 @@ def test_pads_with_the_same_reading_everywhere_never_energise() -> None:
     assert len(felt) > 1
     assert State.ENERGISE not in run.states
     run.assert_never_hurt()
-
-
-def test_an_immediate_next_goal_is_not_misled_by_a_servo_state_from_before_torque_off(run: Faulty) -> None:
-    seen: list[bool] = []
-
-    def late(observation: Observation) -> Observation:
-        seen.append(observation.torque_enabled)
-        return replace(observation, torque_enabled=seen[max(len(seen) - 6, 0)])  # six ticks old
-
-    run.distort = late
-    for _ in range(2):
-        run.begin(DockGoal(GOAL))
-        run.until(lambda: run.machine.status.state is State.CONTACT, 10.0)
-        run.machine.cancel()
-        assert run.finish(30.0).code is Code.CANCELED

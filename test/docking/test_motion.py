@@ -26,8 +26,6 @@ from deltacharger_kinematics.trajectory_feed import HORIZON, PULL_HORIZON, TURN,
 from deltacharger_sim.parameters import TargetParameters, WorldParameters
 from deltacharger_sim.virtual.virtual_charger import VirtualCharger
 
-from .dockings import commands
-
 HOME, STANDOFF = (0.0, 0.0, 0.0), (0.010, -0.020, 0.062)
 PARAMETERS = DockingParameters()
 DELTA = Delta()
@@ -52,16 +50,6 @@ def test_each_servo_may_push_by_the_same_current_above_its_holding_current() -> 
     last = PLANNER.line(HOME, STANDOFF, 0.12)[-1]
     held = np.abs(DELTA.holding_torque(STANDOFF, PARAMETERS.gravity))
     assert np.allclose(np.subtract(last.torque_bound, held), push_current(PARAMETERS) * TORQUE_CONSTANT, atol=1e-12)
-
-
-def test_velocities_match_the_commanded_angles_and_end_at_rest() -> None:
-    waypoints = PLANNER.line(HOME, STANDOFF, 0.12)
-    times, angles, velocities = (table(waypoints, name) for name in ("time", "angles", "velocities"))
-    slope = (angles[2:] - angles[:-2]) / (times[2:] - times[:-2])[:, None]
-    assert np.allclose(velocities[1:-1], slope, atol=0.02 * np.abs(slope).max())
-    assert waypoints[-1].velocities == (0.0, 0.0, 0.0)
-    assert times[0] > 0.0, "the start is no waypoint"
-    assert np.all(np.diff(times) > 0.0)
 
 
 def test_commands_stay_inside_the_joint_limits_and_rest_where_they_are_cut() -> None:
@@ -90,18 +78,6 @@ def charger(geometry: DeltaGeometry, x: float = 0.0) -> VirtualCharger:
     run = VirtualCharger(WorldParameters(target=TargetParameters(x=x)))
     run.machine = DockingMachine(run.parameters, geometry)
     return run
-
-
-def test_an_arm_outside_its_limits_is_not_moved() -> None:
-    home_angle = float(DELTA.inverse(HOME).angles[0])
-    run = charger(DeltaGeometry(joint_min=home_angle + 0.02))
-    sent = commands(run)
-    outcome = run.dock(DockGoal(ElectrodePose((0.0, 0.0, 0.080), 0.0), start_charging=False))
-    assert outcome.code is Code.UNREACHABLE
-    assert "JOINT_LIMIT" in outcome.message
-    assert not any(command.trajectory for command in sent)
-    assert math.dist(run.world.snapshot().position, HOME) < 1e-3
-    assert not run.observe().torque_enabled
 
 
 def test_a_correction_beyond_reach_does_not_move_the_electrodes_until_retracting() -> None:
@@ -261,27 +237,6 @@ def test_a_paused_line_stops_at_once_and_continues_with_the_rest() -> None:
     assert sum(len(piece) == 1 for piece in listener.pieces) == 1, "a hold is sent once"
     arrival = time[np.abs(goal - LINE[-1].angles).max(axis=1) < 1e-9][0]
     assert arrival >= END + 0.5, "the time held is not made up for"
-
-
-def test_velocities_match_the_line_and_a_piece_that_ends_early_ends_at_rest() -> None:
-    piece = begun().piece(0.5 * END)
-    assert piece is not None
-    assert max(map(abs, piece[0].velocities or ())) == pytest.approx(peak_speed(LINE), rel=0.1)
-    assert piece[-1].velocities == (0.0, 0.0, 0.0)
-
-
-def test_a_line_that_is_stopped_or_replaced_is_no_longer_sent() -> None:
-    feed = begun()
-    feed.piece(0.0)
-    feed.stop()
-    assert not feed.is_under_way(0.1)
-    assert feed.piece(0.1) is None
-    assert feed.hold(0.1) == ()
-    feed.start(LINE, 0.2)
-    feed.start(SLOW, 0.3)
-    piece = feed.piece(0.3)
-    assert piece is not None
-    assert piece[0] == SLOW[0]
 
 
 def test_a_pull_that_is_not_repeated_ends_at_the_arms_place_under_the_weaker_bound() -> None:

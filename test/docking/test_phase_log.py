@@ -4,13 +4,12 @@
 from __future__ import annotations
 
 import itertools
-import math
 import re
 from dataclasses import replace
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from deltacharger_docking.codes import Code, State
@@ -66,20 +65,6 @@ def status(state: State, code: Code = Code.NONE, message: str = "") -> DockingSt
     return DockingStatus(state=state, code=code, message=message)
 
 
-def test_docking_again_and_a_failure_without_a_new_phase_are_logged() -> None:
-    log = PhaseLog()
-    log.begin("dock order-1")
-    log.lines(status(State.CONTACT), (State.APPROACH, State.CONTACT), Observation(1.0))
-    (failed,) = log.lines(status(State.RETRACT, Code.NO_CONTACT, "met nothing"), (State.RETRACT,), Observation(3.0))
-    assert failed == "dock order-1: contact → retract after 2.0 s, 302 NO_CONTACT: met nothing"
-    (again,) = log.lines(status(State.APPROACH), (State.APPROACH,), Observation(4.5))
-    assert again == "dock order-1: retract → approach after 1.5 s, docking again"
-    limp = status(State.APPROACH, Code.SERVO_FAULT, "limp")
-    (line,) = log.lines(limp, (), Observation(5.0))
-    assert "304 SERVO_FAULT: limp" in line
-    assert log.lines(limp, (), Observation(5.1)) == []
-
-
 @pytest.mark.parametrize(
     ("before", "code", "is_lost"),
     [
@@ -106,18 +91,3 @@ def test_states_passed_between_two_reports_are_reported_once_each_in_order(
 ) -> None:
     reported = changes(before, passed, now)
     assert [before, *reported] == [state for state, _ in itertools.groupby([before, *passed, now])]
-
-
-@settings(max_examples=30)
-@given(st.lists(st.tuples(st.lists(states), states, st.booleans(), st.sampled_from(list(Code))), max_size=20))
-def test_log_lines_follow_any_sequence_of_states(steps: list[tuple[list[State], State, bool, Code]]) -> None:
-    log = PhaseLog()
-    log.begin("dock order-1")
-    logged, entered, now = [], [State.IDLE], itertools.count()
-    for passed, state, closed, code in steps:
-        seen = Observation(float(next(now)), contactor_closed=closed, charge_current=math.nan)
-        logged += log.lines(status(state, code, "why"), passed, seen)
-        entered += [*passed, state]
-        assert log.lines(status(state, code, "why"), (), seen) == [], "nothing is logged twice"
-    wanted = [state.name.lower() for state, _ in itertools.groupby(entered)]
-    assert ["idle", *(after for _, after in passages(logged))] == wanted

@@ -219,12 +219,6 @@ def test_the_outcome_says_what_ended_charging(goal: dict[str, float], end: str) 
     assert 24.0 < outcome.charge_voltage < 29.4
 
 
-def test_before_charging_ends_the_outcome_has_only_the_voltage() -> None:
-    outcome = charger().dock()
-    assert outcome.charge_end == ""
-    assert outcome.charge_voltage > 24.0
-
-
 def test_a_battery_that_sags_under_load_starts_higher_than_it_ends() -> None:
     assert DockingParameters().battery_voltage_start - DockingParameters().battery_voltage_min == pytest.approx(1.0)
     run = docked(coarse=True)

@@ -9,22 +9,20 @@ import random
 import pytest
 
 from deltacharger_core.machine import SERVO_DAMPING, TORQUE_CONSTANT
-from deltacharger_core.script import Script
 from deltacharger_core.servo_types import MX_64
 from deltacharger_docking.arm import Springs
-from deltacharger_docking.codes import Code, State
+from deltacharger_docking.codes import Code
 from deltacharger_docking.contact import ContactCurrent
-from deltacharger_docking.context import Context
 from deltacharger_docking.observation import DockGoal, ElectrodePose
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_driver.servos.controller import ThermalModel
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_sim.parameters import ContactParameters, MagnetParameters, ServoParameters
-from deltacharger_sim.virtual.virtual_charger import GOAL, VirtualCharger
+from deltacharger_sim.virtual.virtual_charger import VirtualCharger
 
 from ..marks import rest
-from .dockings import MILLIMETRE, assert_safe_at_home, charger, commands, decisions, reach, spoil
+from .dockings import MILLIMETRE, charger, commands, decisions
 
 STILL: Vector = (0.0, 0.0, 0.0)
 PRESSED: Vector = (0.45, 0.6, 0.35)
@@ -79,38 +77,9 @@ def test_readings_that_no_spring_explains_are_ignored(lags: Vector, currents: Ve
     assert springs.stiffness == pytest.approx(5.0), "what was felt stays"
 
 
-def test_new_readings_soon_outweigh_old_ones() -> None:
-    springs = configured(15.0)
-    for _ in range(20):
-        feel(springs, 30.0)
-    for _ in range(3):
-        feel(springs, 10.0)  # servo_node was started with other gains
-    assert springs.stiffness == pytest.approx(10.0, rel=0.1)
-
-
-def test_a_reading_that_contradicts_earlier_ones_replaces_them() -> None:
-    springs = configured(15.0)
-    for wrong in (60.0, 1.5):
-        feel(springs, wrong)
-        feel(springs, 15.0, (0.2, 0.24, -0.1))
-        assert springs.stiffness == pytest.approx(15.0), "even where it is lighter"
-
-
 def along_axes(gravity: Vector) -> dict[str, float]:
     """Return the world's parameters of this gravity (m/s²)."""
     return dict(zip(("gravity_x", "gravity_y", "gravity_z"), gravity, strict=True))
-
-
-@pytest.mark.parametrize("after", [rest(0.3), 0.6])
-def test_a_repeated_servo_state_is_ignored(after: float) -> None:
-    up = (0.0, 0.0, -9.81)  # equal load on all three servos, as under a push
-    run = charger(parameters={"gravity": up}, **along_axes(up))
-    reach(run, State.CONTACT)
-    run.run(after)
-    held = run.observe()
-    spoil(run, angles=held.angles, currents=held.currents)
-    run.run(3.0)
-    assert run.machine.planner.springs.stiffness == pytest.approx(15.0, rel=0.1)
 
 
 @pytest.mark.parametrize(
@@ -137,49 +106,6 @@ def test_an_arm_of_unmeasured_stiffness_docks_in_its_band(true: float, given: fl
     assert context.feed.lag == context.springs.lag, "lines are led by what was felt"
     (swing,) = (dict(each.values)["stiffness_Nm_per_rad"] for each in decisions(sent, "swing"))
     assert swing == pytest.approx(true, rel=0.2) or true < 5.0, "a soft servo brakes too much: then contact shows it"
-
-
-def test_the_estimate_is_kept_for_the_next_docking() -> None:
-    run = charger(parameters={"servo_stiffness": 40.0}, servo=ServoParameters(stiffness=10.0), coarse=True)
-    assert run.dock(DockGoal(GOAL, start_charging=False)).success
-    assert run.undock().success
-    assert_safe_at_home(run)
-    before, sent = run.machine._context.springs.stiffness, commands(run)
-    reach(run, State.CONTACT)
-    assert dict(decisions(sent, "swing")[0].values)["stiffness_Nm_per_rad"] == pytest.approx(before, rel=0.1)
-
-
-def test_readings_during_a_motion_or_at_the_current_bound_are_ignored() -> None:
-    """At the bound, the goal is farther and farther behind the target while the currents stay."""
-    run, moving, pushed = charger(0.0, 0.0, 0.0), list[float](), list[float]()
-
-    def script(context: Context) -> Script[str]:
-        yield from context.torque_on()
-        context.follow(context.planner.line(context.measured(), (0.0, 0.0, 0.05), 0.25))
-        while context.feed.is_under_way(context.time):
-            yield from context.read()
-            moving.append(context.springs.stiffness)
-        context.commanded = context.position
-        for z in (0.095, 0.108):
-            yield from context.move((0.0, 0.0, z), 0.04)
-            pushed.append(min(context.contact.currents))
-        return ""
-
-    run.start(script)
-    run.finish(60.0)
-    assert len(moving) > 2
-    assert moving == [15.0] * len(moving)
-    assert min(pushed[1:]) > 0.5
-    assert run.machine._context.springs.stiffness == pytest.approx(15.0, rel=0.05)
-
-
-@pytest.mark.rest
-def test_a_soft_arm_leaves_the_magnets_so_far_that_they_do_not_pull_it_back() -> None:
-    run = charger(-8.0, -8.0, 8.0, 5, {"servo_stiffness": 2.5}, coarse=True, servo=ServoParameters(stiffness=2.5))
-    assert run.dock().success
-    outcome = run.undock()
-    assert outcome.success, outcome.message
-    assert_safe_at_home(run)
 
 
 @pytest.mark.parametrize(("given", "named"), [rest(15.0, False), (50.0, True)])
@@ -217,7 +143,6 @@ def test_invalid_angles_give_nan_and_no_error() -> None:
 
 
 DOWN = (0.0, -9.81, 0.0)
-HOURS = 4 * 3600.0
 HELD = 1.8 * 3600.0
 """s for which the thermal model allows 0.57 A: the middle of the band, 0.09 A that the gears rub in free motion, which
 the tare takes out of the contact current, and 0.03 A of easing's tolerance and noise."""
@@ -272,21 +197,6 @@ def test_every_servo_can_hold_its_pressing_current_for_hours(
     assert before.reserve() == 0.0, "with the weight on the servos it would have been too much"
 
 
-@pytest.mark.rest
-def test_four_hours_in_the_simulated_world_change_nothing() -> None:
-    run = resting(3.0, -2.0, 15.0, DOWN)
-    assert run.dock().success
-    run.run(0.5)
-    place, force, load = run.world.mechanics.position, run.world.snapshot().contact_force, currents(run)
-    for _ in range(int(HOURS / 10.0)):
-        run.world.step(10.0)
-    assert math.dist(place, run.world.mechanics.position) < 0.01 * MILLIMETRE
-    assert run.world.snapshot().contact_force == pytest.approx(force, abs=0.1)
-    assert currents(run) == pytest.approx(load, abs=0.005)
-    assert run.world.record.energised_unsafe == 0.0
-    assert max(run.world.servo(index)[4] for index in range(3)) < 40.0
-
-
 @pytest.mark.parametrize("expected", [0.36, rest(0.54)])
 def test_weight_along_the_push_remains_on_the_servos(expected: float) -> None:
     """No friction carries it: it adds 0.09 A to each servo, and what the gears rub in free motion as much."""
@@ -312,13 +222,3 @@ def test_if_friction_does_not_hold_the_weight_remains_on_the_servos(stiffness: f
     run.run(3.0)
     assert math.dist(rests, run.world.mechanics.position) < 0.1 * MILLIMETRE, "it does not go on slipping"
     assert run.world.record.energised_unsafe == 0.0
-
-
-def test_clearance_is_measured_after_easing_and_before_probing() -> None:
-    run = resting(3.0, -2.0, 15.0, DOWN)
-    sent = commands(run)
-    assert run.dock().success
-    kinds = [each.kind for each in decisions(sent)]
-    last = len(kinds) - 1 - kinds[::-1].index("eased")
-    assert "measured" in kinds[last : kinds.index("probe")]
-    assert kinds.index("close") > kinds.index("probe") > last

@@ -16,17 +16,15 @@ import pytest
 
 from deltacharger_core.machine import SERVO_INERTIA, TORQUE_CONSTANT
 from deltacharger_core.servo_types import MX_64
-from deltacharger_docking import standoff
 from deltacharger_docking.codes import Code, State
-from deltacharger_docking.context import Context
-from deltacharger_docking.observation import NAN3, DockGoal
+from deltacharger_docking.observation import DockGoal
 from deltacharger_driver.servos.registers import TICK
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.swing import fit_swing, swing_readings
 from deltacharger_sim.parameters import CableParameters, MagnetParameters, ServoParameters, StandParameters
 from deltacharger_sim.virtual.virtual_charger import GOAL, VirtualCharger
 
-from .dockings import assert_safe_at_home, charger, commands, decisions, docked, reach
+from .dockings import assert_safe_at_home, charger, commands, decisions, reach
 
 SWUNG = ((12.0, 0.4), (15.0, 0.75), (20.0, 1.0))
 """Stiffness (N·m/rad) and damping (N·m·s/rad) of three servos."""
@@ -55,13 +53,6 @@ def test_a_swing_shows_how_each_of_three_servos_springs_and_brakes() -> None:
     for found, (stiffness, damping) in zip(fit_swing(readings, TORQUE_CONSTANT), SWUNG, strict=True):
         assert found.stiffness == pytest.approx(stiffness, rel=0.2)
         assert found.damping == pytest.approx(damping, rel=0.2)
-
-
-def test_a_jump_that_no_servo_heard_of_says_nothing() -> None:
-    """Its goals may have been lost: noise beside goals that never arrived looks like a servo without a spring."""
-    draw, goals = random.Random(1), (0.09,) * 3
-    still = [(0.01 * n, (TICK * (n % 2),) * 3, tuple(draw.gauss(0.0, 0.02) for _ in range(3))) for n in range(30)]
-    assert swing_readings(still, goals, (2.0,) * 3) == []  # type: ignore[arg-type]
 
 
 def refused(run: VirtualCharger, code: Code, *words: str, home: float = 0.01) -> None:
@@ -115,21 +106,6 @@ def test_a_computer_that_stalls_is_no_servo_that_swings(longest: int) -> None:
     (swing,) = (dict(each.values) for each in decisions(sent, "swing"))
     found = [swing[f"damping_{number}_Nms_per_rad"] for number in (1, 2, 3)]
     assert all(math.isnan(damping) or damping > 0.3 for damping in found), found
-
-
-def test_a_reading_that_failed_before_the_jump_is_no_reference(monkeypatch: pytest.MonkeyPatch) -> None:
-    run, swing = charger(coarse=False), standoff._swing
-
-    def failed(context: Context, *rest: Any) -> Any:
-        context.observation = replace(context.observation, servos_valid=False, angles=NAN3, currents=NAN3)
-        return swing(context, *rest)
-
-    monkeypatch.setattr(standoff, "_swing", failed)
-    sent = commands(run)
-    run.begin(DockGoal(GOAL))
-    run.until(lambda: bool(decisions(sent, "friction")), 20.0)
-    (found,) = (dict(each.values) for each in decisions(sent, "swing"))
-    assert all(found[f"damping_{number}_Nms_per_rad"] > 0.3 for number in (1, 2, 3)), found
 
 
 def wear(run: VirtualCharger, number: int, friction: float) -> None:
@@ -231,9 +207,3 @@ def test_a_target_that_touched_on_the_way_home_rolls_although_the_pads_are_free_
     way = run.world.mechanics
     run.distort = lambda seen: replace(seen, tactile_contact=seen.tactile_contact or 0.02 < way.position[2] < 0.04)
     assert run.undock().code is Code.TARGET_ROLLS
-
-
-def test_a_success_tells_the_interval_of_the_true_force() -> None:
-    run = docked(start_charging=False)
-    assert run.outcome is not None
-    assert run.outcome.contact_force_min < run.outcome.contact_force < run.outcome.contact_force_max

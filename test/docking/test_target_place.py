@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from deltacharger_core.machine import DOCKING_JITTER, MAGNET_FLOOR, MAGNET_FORCE, MAGNET_WIDTH, PAD_YAW_STIFFNESS
+from deltacharger_core.machine import DOCKING_JITTER, MAGNET_FORCE, MAGNET_WIDTH, PAD_YAW_STIFFNESS
 from deltacharger_docking import place as place_of_target
 from deltacharger_docking.arm import RemainingShare
 from deltacharger_docking.clearance import MisalignmentEstimate, Verdict, clearance, judge
@@ -89,16 +89,6 @@ def test_contacts_on_a_platform_of_unknown_share_do_not_make_a_seen_yaw_worse(fa
     assert abs(estimate.yaw - 2.0 * DEGREE) < 2.0 * estimate.yaw_stddev
 
 
-def test_a_known_pitch_widens_the_error_of_the_vertical_offset() -> None:
-    """The pads read 8 mm per rad of it, in campaigns with leaning faces."""
-    place, felt = target_place(PARAMETERS, seen()), contact(0.0)
-    place.add(felt, 0.0, 0.0, PUSH)
-    level = place.combined(felt)
-    pitched = place.combined(replace(felt, pitch=4.0 * DEGREE, pitch_stddev=0.5 * DEGREE))
-    assert pitched.vertical == level.vertical
-    assert math.sqrt(pitched.vertical_stddev**2 - level.vertical_stddev**2) == pytest.approx(0.6e-3, rel=0.05)
-
-
 @pytest.mark.parametrize("share", [0.3, 0.55, 0.8])
 def test_how_far_magnets_drew_the_platform_shows_the_target_also_if_they_reach_less_or_farther(share: float) -> None:
     target, blind, place = 5.0 * MILLIMETRE, target_place(PARAMETERS, seen()), target_place(PARAMETERS, seen())
@@ -133,17 +123,6 @@ def test_the_offset_across_is_the_measured_one_and_the_vertical_follows_from_it(
     assert y * math.cos(angle) - x * math.sin(angle) == pytest.approx(felt.across)
 
 
-@pytest.mark.parametrize("force", [math.nan, 0.0])
-def test_a_missing_force_is_unknown(force: float) -> None:
-    parameters = DockingParameters(yaw_stddev=0.0)
-    place = target_place(parameters, seen())
-    felt = MisalignmentEstimate(0.0, 0.001, 0.0, 2e-4, 0.003, 7e-4, left_force=force, right_force=force)
-    place.add(felt, 0.0, 0.0, PUSH)
-    assert not place.contradicts_itself
-    assert place.combined(felt).horizontal == pytest.approx(0.003, abs=0.3 * MILLIMETRE)
-    assert place.off[0] == pytest.approx(0.003, abs=0.8 * MILLIMETRE)
-
-
 def test_a_probe_is_made_along_the_bars_and_only_within_reach() -> None:
     angle = 0.1
     place = target_place(PARAMETERS, seen(roll=angle))
@@ -154,23 +133,6 @@ def test_a_probe_is_made_along_the_bars_and_only_within_reach() -> None:
     assert (x - a, y - b) == pytest.approx((place.plan.aside, place.plan.aside * math.tan(angle)))
     place.choose(0, lambda x, y: False)
     assert place.plan.aside == 0.0
-
-
-def test_parallel_faces_are_never_probed_for_their_lean() -> None:
-    place = target_place(DockingParameters(yaw_stddev=0.0), seen())
-    place.add(contact(0.0), 0.0, 0.0, PUSH)
-    place.choose(0, lambda x, y: True)
-    assert place.plan.gain <= 0.0
-
-
-def test_a_second_estimate_of_one_contact_replaces_the_first() -> None:
-    place, felt = target_place(PARAMETERS, seen()), contact(0.003, 1.0)
-    place.add(felt, 0.0, 0.0, PUSH)
-    risk, estimate = place.risk, place.combined(felt).horizontal_stddev
-    for _ in range(5):
-        place.add(felt, 0.0, 0.0, PUSH, again=True)
-    assert place.combined(felt).horizontal_stddev == pytest.approx(estimate)
-    assert place.risk == pytest.approx(risk, abs=1e-3)
 
 
 def test_the_remaining_share_is_learnt_once_per_target_and_only_from_its_contacts() -> None:
@@ -236,21 +198,7 @@ def test_an_unsure_offset_points_along_the_bars_only_as_far_as_no_lean_explains_
     assert parallel.pointed_at(one_pad(60.0, 0.5), 0.0) == (0.0, 0.0), "out of range"
 
 
-def test_each_further_contact_has_to_gain_more() -> None:
-    place = target_place(DockingParameters(yaw_stddev=0.0), seen())
-    place.add(contact(0.005), 0.0, 0.0, PUSH)
-    gains = []
-    for moves in (0, 4, 8):
-        place.choose(moves, lambda x, y: True)
-        gains.append(place.plan.gain)
-    first = place_of_target._REDOCKING_GAIN_MIN
-    assert gains[0] > 0.0
-    assert gains[0] - gains[1] == pytest.approx(first * (1.5**4 - 1.0))
-    assert gains[0] - gains[2] == pytest.approx(first * (1.5**8 - 1.0))
-
-
 BIAS = 0.0081  # m, load bias of a yaw of 1.2° on a platform of the usual compliance
-FLAT = 0.2  # m; a prior without information within the grid
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.05, -0.2])
@@ -269,13 +217,6 @@ def test_derivatives_of_the_pull_match_finite_differences(x: float, across: floa
     y = (across + x * math.sin(angle)) / math.cos(angle)
     share = 1.0 / (1.0 + (x * x + y * y) / MAGNET_WIDTH**2)
     assert pull == pytest.approx(MAGNET_FORCE * share)
-
-
-def test_far_away_only_the_floor_of_the_pull_remains_and_gives_no_place() -> None:
-    pull, slope, by_width = MagnetPull(MAGNET_FORCE).at(np.array([-0.03, 0.03]), 0.0, 0.1)
-    assert pull == pytest.approx(MAGNET_FORCE * MAGNET_FLOOR)
-    assert np.all(slope == 0.0)
-    assert np.all(by_width == 0.0)
 
 
 class Target:
@@ -325,15 +266,6 @@ def simulated(count: int, asides: tuple[float, ...], bias_stddev: float = BIAS) 
     return found
 
 
-def test_with_parallel_faces_one_contact_gives_the_place_by_its_load() -> None:
-    tracker = AlongFilter(PARAMETERS, 0.0, FLAT)
-    pull = float(MagnetPull(MAGNET_FORCE).at(np.array(0.003), 0.0, 0.0)[0])
-    tracker.update(LookAlong(0.001, 0.003, 1e-4, pull + PUSH, 1e3, PUSH, 0.0, 0.0))
-    assert tracker.contact.mean == pytest.approx(0.003, abs=0.2 * MILLIMETRE)
-    assert tracker.target == pytest.approx(0.004, abs=0.2 * MILLIMETRE)
-    assert tracker.contact.stddev < 1.2 * math.hypot(HORIZONTAL_SHARED, 0.003 * GAIN_ERROR)
-
-
 def test_with_an_unknown_lean_one_contact_does_not_change_the_expected_place() -> None:
     tracker = known(bias_stddev=0.1)
     tracker.update(LookAlong(0.0, 0.015, 1e-4, 60.0 + PUSH, 1e3, PUSH, 0.0, 0.0))
@@ -352,15 +284,6 @@ def test_contacts_beside_the_target_locate_it_within_the_reported_error() -> Non
     truths = [target._bias for target, _ in three]
     errors = [(estimate - true) / spread for (estimate, spread), true in zip(biases, truths, strict=True)]
     assert 0.75 < math.sqrt(np.mean(np.square(errors))) < 1.25
-
-
-@pytest.mark.rest
-def test_the_risk_matches_the_observed_frequency() -> None:
-    found = simulated(600, (0.0, 0.006, -0.006))
-    predicted = [each.risk(0.002) for _, each in found]
-    observed = [abs(target.landed) > 0.002 for target, _ in found]
-    assert 0.05 < np.mean(observed) < 0.95
-    assert np.mean(predicted) == pytest.approx(np.mean(observed), abs=0.06)
 
 
 def test_no_probe_is_planned_that_would_leave_a_pad_empty() -> None:
@@ -481,14 +404,6 @@ def test_a_known_pitch_only_makes_the_verdict_stricter_and_an_unknown_one_change
             assert judge(replace(pose, pitch_stddev=0.3), PARAMETERS) is judge(pose, PARAMETERS)
 
 
-def test_a_far_first_contact_does_not_outweigh_near_ones(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(place_of_target, "DOCKING_JITTER", 0.0005)
-    tracker = AxisFilter()
-    tracker.update(0.0, 0.010, 1e-4)  # reads 10 mm, truth 8 mm
-    tracker.update(0.010, -0.002, 1e-4)
-    assert tracker.target == pytest.approx(0.008, abs=3e-4)
-
-
 def contacts(count: int, reported: float) -> list[tuple[float, AxisFilter]]:
     """The true offset of the last of three contacts, and the filter, of `count` dockings."""
     random = np.random.default_rng(8)
@@ -515,25 +430,3 @@ def test_the_risk_of_a_contact_matches_the_observed_frequency() -> None:
     predicted = [tracker.contact.beyond(0.0015) for _, tracker in dockings]
     observed = [abs(true) > 0.0015 for true, _ in dockings]
     assert np.mean(predicted) == pytest.approx(np.mean(observed), abs=0.05)
-
-
-def test_another_contact_pays_if_this_one_is_off() -> None:
-    near, far = AxisFilter(), AxisFilter()
-    near.update(0.0, 0.0002, 1e-4)
-    far.update(0.0, 0.0028, 1e-4)
-    assert near.gain(0.0025) < 1e-3
-    assert far.gain(0.0025) > 0.5
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("critical_angle", 0.5),
-        ("battery_voltage_min", 30.0),
-        ("current_max", 0.4),
-        ("standoff", math.nan),
-    ],
-)
-def test_impossible_parameters_are_refused_by_name(name: str, value: object) -> None:
-    with pytest.raises(ValueError, match=name):
-        DockingParameters(**{name: value})

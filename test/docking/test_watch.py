@@ -6,7 +6,6 @@ The table of watches has no empty cell.
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import replace
 from typing import Any
@@ -15,11 +14,11 @@ import numpy as np
 import pytest
 
 from deltacharger_docking.codes import Code, State
-from deltacharger_docking.observation import DockGoal, Observation
+from deltacharger_docking.observation import Observation
 from deltacharger_docking.watch import WATCHES
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_sim.parameters import CircuitParameters, ContactParameters, StandParameters, TargetParameters
-from deltacharger_sim.virtual.virtual_charger import GOAL, VirtualCharger
+from deltacharger_sim.parameters import ContactParameters, StandParameters, TargetParameters
+from deltacharger_sim.virtual.virtual_charger import VirtualCharger
 
 from ..marks import rest
 from .dockings import MILLIMETRE, charger, commands, decisions, docked, quick_charger, reach, spoil, until_open
@@ -109,38 +108,6 @@ def test_a_target_that_moves_away_does_not_take_the_arm_along() -> None:
         assert outside(run) < 0.0
     assert run.machine.status.code is Code.NO_CONTACT, run.machine.status.message
     assert "moves away" in run.machine.status.message
-
-
-def test_an_arm_that_hung_outside_its_workspace_before_the_goal_is_taken_back() -> None:
-    run = docked()
-    assert run.undock().success
-    spoil(run, angles=ScalarDelta(run.geometry).inverse(0.0, 0.0, -0.004))
-    run._torque = True
-    run.begin(DockGoal(GOAL))
-    run.run(0.1)
-    assert run.machine.status.code is Code.NONE, run.machine.status.message
-
-
-def test_late_angles_do_not_tell_where_the_pads_touched() -> None:
-    run = charger(coarse=True)
-    reach(run, State.CONTACT)
-    old = run.observe().angles
-    run.until(lambda: run.world.mechanics.gap < 2 * MILLIMETRE, 10.0)
-    spoil(run, angles=old, servo_age=0.2)
-    run.run(0.1)
-    spoil(run)
-    run.until(lambda: run.outcome is not None, 30.0)
-    assert run.outcome is not None
-    assert run.outcome.success, run.outcome.message
-
-
-def test_a_target_that_is_gone_is_searched_within_the_workspace() -> None:
-    run = charger(coarse=True, target=replace(TargetParameters(), z=0.4))
-    run.begin(DockGoal(replace(GOAL, position=(0.0, 0.0, 0.1))))
-    run.until(lambda: run.outcome is not None, 60.0)
-    assert run.outcome is not None
-    assert run.outcome.code is Code.NO_CONTACT, run.outcome.message
-    assert "z = 110 mm" in run.outcome.message
 
 
 def test_a_target_that_comes_back_is_not_an_arm_that_does_not_follow() -> None:
@@ -258,19 +225,6 @@ def test_a_target_that_shifts_while_docking_awaits_the_probe_is_measured_again()
     assert run.world.record.energised_unsafe == run.world.record.energised_shorts == 0
 
 
-def test_a_target_that_never_rests_is_not_energised() -> None:
-    run = quick_charger(0.0, 0.0, 0.0, contact=SLIPPERY)
-    reach(run, State.ENERGISE)
-    ways = itertools.cycle((1, -1))
-    while run.outcome is None:
-        if run.machine.status.state is State.ENERGISE and not run.world.target_moves:
-            run.world.move_target(0.0, 6 * MILLIMETRE * next(ways), 0.0, 0.05)
-        run.tick()
-    assert run.outcome.code is Code.NO_CONTACT, run.outcome.message
-    assert "no measurement lasted" in run.outcome.message
-    assert run.world.record.energised == 0.0
-
-
 # Law 4: live is what is measured live.
 
 
@@ -284,13 +238,6 @@ def test_a_target_that_moves_on_the_pads_opens_before_a_short(shift: tuple[float
     run.run(0.1)
     assert run.machine.status.code is Code.NO_CONTACT
     assert run.world.record.energised_unsafe == run.world.record.energised_shorts == 0
-
-
-def test_live_electrodes_whose_pads_measure_nothing_are_opened() -> None:
-    run = docked()
-    spoil(run, taxels=np.full((2, 10, 10), math.nan), tactile_contact=False)
-    assert until_open(run) == pytest.approx(0.5, abs=0.05)
-    assert run.machine.status.code is Code.TACTILE_STALE
 
 
 @pytest.mark.parametrize(
@@ -312,17 +259,6 @@ def test_both_voltages_are_supervised_while_current_flows(
     spoil(run, **shown)
     assert least <= until_open(run) <= most
     assert run.machine.status.code is code
-
-
-def test_a_lease_that_lapsed_while_docking_was_suspended_is_told_as_such() -> None:
-    run = quick_charger()
-    reach(run, State.ENERGISE)
-    run.until(lambda: run._energised, 5.0)
-    run.power.trip(8)
-    run.power.open(run.now)  # the lease lapsed, and tactile_node opened
-    run.now += 0.3
-    run.until(lambda: run.outcome is not None, 5.0)
-    assert run.machine.status.code is Code.POWER_STALE, run.machine.status.message
 
 
 @pytest.mark.parametrize("shown", [_WELD, _LIVE], ids=["welded", "current"])
@@ -349,23 +285,6 @@ def test_a_weld_found_while_charging_keeps_the_arm_on_the_target() -> None:
     assert run.world.record.parted_live == 0
 
 
-def test_a_weld_is_told_whatever_ended_the_goal() -> None:
-    run = docked(circuit=CircuitParameters(welded=True))
-    spoil(run, battery_voltage=35.0)
-    run.until(lambda: run.machine.status.state is State.IDLE, 10.0)
-    assert run.machine.status.code is Code.CONTACTOR_WELDED
-    assert "35.0 V" in run.machine.status.message
-
-
-def test_a_latched_weld_lets_no_docking_begin() -> None:
-    run = quick_charger()
-    spoil(run, **_WELD)
-    outcome = run.dock()
-    assert outcome.code is Code.CONTACTOR_WELDED
-    assert run.world.record.contacts == 0
-    assert not run.observe().torque_enabled
-
-
 def test_a_voltage_of_electrodes_in_free_air_is_a_weld() -> None:
     run = quick_charger()
     spoil(run, target_voltage=25.0)
@@ -374,11 +293,3 @@ def test_a_voltage_of_electrodes_in_free_air_is_a_weld() -> None:
     assert "touch nothing but have 25.0 V" in outcome.message
     assert run.world.record.contacts == 0
     assert not run.observe().torque_enabled
-
-
-def test_a_fault_at_the_start_of_undocking_is_its_outcome() -> None:
-    run = docked()
-    spoil(run, torque_enabled=False)
-    outcome = run.undock()
-    assert outcome.code is Code.SERVO_FAULT, outcome.message
-    assert not run.world.snapshot().contactor_closed
