@@ -127,7 +127,7 @@ $(VENV)/.nav2_msgs $(VENV)/.tf2: $(VENV)/.%: $(INSTALLED)
 	touch $@
 
 optional: lab trainers navigation transforms  ## every optional library; without one its tests are skipped
-	$(BIN)/python -m pip install --quiet 'depthai>=3,<4' mujoco pyarrow distributed 'rerun-sdk>=0.39' xacro
+	$(BIN)/python -m pip install --quiet 'depthai>=3,<4' mujoco pyarrow 'rerun-sdk>=0.39' xacro
 
 # After a change of nodes, parameters or messages. In CI they must be what is committed.
 pages: lab  ## write docs/parameters.md, docs/topics.md and the watches in docs/docking.md, check config/security

@@ -9,7 +9,7 @@ import math
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -60,38 +60,24 @@ def test_a_docking_depends_only_on_seed_and_number() -> None:
     assert comparable(run_batch(settings(2, seed=4).to_json(), [0])) != comparable(forward[:1])
 
 
-@contextlib.contextmanager
-def workers(kind: str, processes: bool) -> Iterator[tuple[int, str]]:
-    """Yield a number of workers on this computer, or a Dask scheduler of two."""
-    if kind != "dask":
-        yield int(kind), ""
-        return
-    distributed = pytest.importorskip("distributed", reason="Dask is not installed (extra dask)")
-    of_each = {"n_workers": 2 if processes else 1, "threads_per_worker": 1 if processes else 2}
-    with distributed.LocalCluster(dashboard_address=":0", silence_logs=50, processes=processes, **of_each) as running:
-        yield 1, running.scheduler_address
-
-
-@pytest.mark.parametrize(("kind", "count"), [("1", 2), rest("2", 6), rest("dask", 12)])
-def test_a_stopped_campaign_continues_with_what_is_missing(tmp_path: Path, kind: str, count: int) -> None:
+@pytest.mark.parametrize(("workers", "count"), [(1, 2), rest(2, 6)])
+def test_a_stopped_campaign_continues_with_what_is_missing(tmp_path: Path, workers: int, count: int) -> None:
     written: list[int] = []
 
     def report(rows: Sequence[dict[str, Any]]) -> None:
         written.extend(row["number"] for row in rows)
 
-    with workers(kind, processes=False) as (number, scheduler):
-        for goes_on in (False, True):
-            with Store(tmp_path, settings(count)) as store:
-                stop = lambda goes_on=goes_on: not goes_on and bool(written)  # noqa: E731
-                run_missing(store, number, scheduler, 1, report, stop, print)
-                assert goes_on == (store.missing() == [])
+    for goes_on in (False, True):
+        with Store(tmp_path, settings(count)) as store:
+            stop = lambda goes_on=goes_on: not goes_on and bool(written)  # noqa: E731
+            run_missing(store, workers, report, stop, print, 1)
+            assert goes_on == (store.missing() == [])
     assert sorted(written) == list(range(count))
     assert stored(tmp_path) == expected(count)
 
 
 @pytest.mark.night
-@pytest.mark.parametrize("kind", ["2", "dask"])
-def test_a_dead_worker_process_loses_and_doubles_no_row(tmp_path: Path, kind: str) -> None:
+def test_a_dead_worker_process_loses_and_doubles_no_row(tmp_path: Path) -> None:
     messages: list[str] = []
 
     def report(rows: Sequence[dict[str, Any]]) -> None:
@@ -99,19 +85,12 @@ def test_a_dead_worker_process_loses_and_doubles_no_row(tmp_path: Path, kind: st
             messages.append("killed")
             os.kill(min(children(os.getpid(), "spawn_main")), signal.SIGKILL)
 
-    with workers(kind, processes=True) as (number, scheduler), Store(tmp_path, settings(12)) as store:
-        run_missing(store, number, scheduler, 1, report, lambda: False, messages.append)
+    with Store(tmp_path, settings(12)) as store:
+        run_missing(store, 2, report, lambda: False, messages.append, 1)
         assert store.missing() == []
     assert messages[0] == "killed"
-    assert kind == "dask" or "a worker process died" in messages[1]
+    assert "a worker process died" in messages[1]
     assert stored(tmp_path) == expected(12)
-
-
-def test_a_missing_scheduler_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("distributed", reason="Dask is not installed (extra dask)")
-    monkeypatch.setattr(runner, "_CONNECT", 0.1)
-    with Store(tmp_path, settings(1)) as store, pytest.raises(CampaignError, match="no Dask scheduler"):
-        run_missing(store, 1, "tcp://127.0.0.1:9", 0, lambda rows: None, lambda: False, print)
 
 
 @pytest.mark.rest
@@ -144,7 +123,7 @@ def test_a_killed_or_stopped_command_leaves_a_resumable_file_and_no_worker(
     start: Callable[..., Process], tmp_path: Path, quick: str, workers: str, number: int, code: int
 ) -> None:
     out = tmp_path / "killed"
-    words = ("-n", "2000", "--seed", "3", "--scenes", quick, "--batch", "1", "--workers", workers, "--json")
+    words = ("-n", "2000", "--seed", "3", "--scenes", quick, "--workers", workers, "--json")
     process = start(*WORDS, *words, "--out", str(out))
     wait_until(lambda: list(out.glob("part-*.parquet")), "a part")
     started = children(process.process.pid)

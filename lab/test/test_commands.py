@@ -50,7 +50,6 @@ REFUSED = {
     "campaign": "--out",
     "campaign --out text.npz": "text.npz is a file",
     "campaign --out new --scenes defualt": "'default'",
-    "campaign --out new --scheduler tcp://127.0.0.1:9 --workers 2": "--workers",
     "campaign --compare new new": "_campaign.json",
     "campaign --out new --picture a.png": "--compare",
     "report kinematics --points 49": "--points",

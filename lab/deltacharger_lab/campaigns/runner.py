@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs the missing dockings of a campaign: in this process, in local ones, or on the workers of a Dask scheduler."""
+"""Runs the missing dockings of a campaign: in this process, or in local ones."""
 
 from __future__ import annotations
 
@@ -65,38 +65,6 @@ def run_batch(text: str, numbers: Sequence[int], stop: Callable[[], bool] | None
     return rows
 
 
-def hand_out(
-    submit: Callable[[list[int]], Future[list[Row]]],
-    left: list[list[int]],
-    workers: int,
-    record: Record,
-    stop: Stop,
-    halt: Callable[[], None] = lambda: None,
-) -> None:
-    """Run batches in workers, each with some submitted ahead, until all are done or `stop` returns true.
-
-    Args:
-        submit: submits a batch.
-        left: remaining batches.
-        workers: their number.
-        record: called with the rows of each batch.
-        stop: whether to end.
-        halt: called then, to stop the workers.
-    """
-    rest, running = iter(left), set[Future[list[Row]]]()
-    while True:
-        for numbers in itertools.islice(rest, 0 if stop() else _AHEAD * workers - len(running)):
-            running.add(submit(numbers))
-        if not running:
-            return
-        if stop():
-            halt()
-            running -= {future for future in running if future.cancel()}
-        done, running = wait(running, _POLL, FIRST_COMPLETED)
-        for future in done:
-            record(future.result())
-
-
 def begin_worker(halt: Any) -> None:
     """Prepare a worker process: ignore Ctrl-C, which its parent handles, and end with the parent.
 
@@ -117,28 +85,25 @@ def _end_with_parent() -> None:
 
 
 _TRIES = 3  # restarts with the remaining dockings after worker processes died
-_CONNECT = 15.0  # s
-_LOST = 5  # workers that a batch may lose before it fails
 
 Report = Callable[[Sequence[Row]], None]
 
 
 def run_missing(
-    store: Store, workers: int, scheduler: str, batch: int, report: Report, stop: Stop, log: Callable[[str], None]
+    store: Store, workers: int, report: Report, stop: Stop, log: Callable[[str], None], batch: int = 0
 ) -> None:
     """Run and write the dockings that the store lacks, until all are there or `stop` returns true.
 
     Args:
         store: open.
         workers: local processes; 1 = this process.
-        scheduler: address of a Dask scheduler; empty = none.
-        batch: dockings per write, 0 = automatic.
         report: called with the rows of every written batch.
         stop: whether to end.
         log: called with messages about workers.
+        batch: dockings per write, 0 = automatic.
 
     Raises:
-        CampaignError: workers died repeatedly, there is none, or they have other versions.
+        CampaignError: workers died repeatedly.
     """
 
     def record(rows: list[Row]) -> None:
@@ -146,9 +111,6 @@ def run_missing(
             store.add(rows)
             report(rows)
 
-    if scheduler:
-        _run_on_dask(store, scheduler, batch, record, stop)
-        return
     if workers == 1:
         _run_here(store, batch, record, stop)
     else:
@@ -180,60 +142,27 @@ def _run_with_restarts(
 
 def _run_local(store: Store, workers: int, batch: int, record: Record, stop: Stop) -> None:
     text = store.settings.to_json()
-    left = batches(store.missing(), batch, workers)
+    rest, running = iter(batches(store.missing(), batch, workers)), set[Future[list[Row]]]()
     context = multiprocessing.get_context("spawn")
     halt = context.Event()
     with _one_thread_each(), ProcessPoolExecutor(workers, context, begin_worker, (halt,)) as pool:
-
-        def submit(numbers: list[int]) -> Future[list[Row]]:
-            with _without_ctrl_c():
-                return pool.submit(run_batch, text, numbers)
-
         try:
-            hand_out(submit, left, workers, record, stop, halt.set)
+            while True:
+                for numbers in itertools.islice(rest, 0 if stop() else _AHEAD * workers - len(running)):
+                    with _without_ctrl_c():
+                        running.add(pool.submit(run_batch, text, numbers))
+                if not running:
+                    return
+                if stop():
+                    halt.set()
+                    running -= {future for future in running if future.cancel()}
+                done, running = wait(running, _POLL, FIRST_COMPLETED)
+                for future in done:
+                    record(future.result())
         except BaseException:
             halt.set()
             pool.shutdown(cancel_futures=True)
             raise
-
-
-def _run_on_dask(store: Store, address: str, batch: int, record: Record, stop: Stop) -> None:
-    """Run the dockings that the store lacks on the workers of a scheduler.
-
-    Another worker runs the batch of one that dies; its rows arrive once, unchanged.
-
-    Args:
-        store: open.
-        address: of the scheduler, e.g. tcp://host:8786.
-        batch: dockings per write, 0 = automatic.
-        record: called with the rows of each batch.
-        stop: whether to end.
-
-    Raises:
-        CampaignError: Dask is missing, no scheduler answers, it has no worker, or one has other versions.
-    """
-    try:
-        import distributed
-    except ModuleNotFoundError as error:
-        raise CampaignError("Dask is not installed; install deltacharger-lab[dask]") from error
-    try:
-        client = distributed.Client(address, timeout=_CONNECT, set_as_default=False)
-    except (OSError, ValueError, distributed.TimeoutError) as error:
-        raise CampaignError(f"no Dask scheduler answers at {address}: {error}") from error
-    with client, client.as_current():
-        threads = sum(client.nthreads().values())
-        if not threads:
-            raise CampaignError(f"the scheduler at {address} has no workers; start `dask worker {address}`")
-        executor = client.get_executor(pure=False, retries=_LOST)
-        text, left = store.settings.to_json(), batches(store.missing(), batch, threads)
-        try:
-            hand_out(lambda numbers: executor.submit(run_batch, text, numbers), left, threads, record, stop)
-        except distributed.KilledWorker as error:
-            raise CampaignError(f"workers died repeatedly: {error}; the same command continues") from error
-        except ModuleNotFoundError as error:
-            raise CampaignError(
-                f"a worker lacks {error.name}; install the same version of deltacharger there"
-            ) from error
 
 
 @contextlib.contextmanager

@@ -57,8 +57,6 @@ def add_campaign(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scenes", default=_DEFAULT_SCENES, metavar="NAME|FILE", help=scenes)
     parser.add_argument("--exact", action="store_true", help="compute every tick and frame, as the nodes do; slower")
     parser.add_argument("--workers", type=integer(1, 1024), metavar="K", help="processes on this computer (1)")
-    parser.add_argument("--scheduler", default="", metavar="tcp://…", help="Dask scheduler; its workers run dockings")
-    parser.add_argument("--batch", type=integer(1, 10_000), default=0, metavar="N", help="dockings per write")
     parser.add_argument("--out", metavar="DIR", help="folder of Parquet files, created if missing")
     text = "instead compare two campaigns of one seed, docking by docking"
     parser.add_argument("--compare", nargs=2, metavar=("A", "B"), help=text)
@@ -72,20 +70,10 @@ def campaign(options: argparse.Namespace) -> Result:
     if options.picture is not None:
         raise WrongInput("--picture needs --compare")
     folder, settings = _folder(options), _settings(options)
-    if options.scheduler and options.workers:
-        raise WrongInput("--workers is for this computer; a scheduler has its own workers")
     with campaign_errors():
         with Interrupts() as interrupts, Store(folder, settings) as store:
             progress = CampaignProgress(settings.n, len(store.done))
-            run_missing(
-                store,
-                options.workers or 1,
-                options.scheduler,
-                options.batch,
-                progress,
-                interrupts.event.is_set,
-                log_line,
-            )
+            run_missing(store, options.workers or 1, progress, interrupts.event.is_set, log_line)
             progress.end()
             complete = not store.missing()
         judged = ("broken",) if scene_of(settings.to_json())[1].hostile else ()

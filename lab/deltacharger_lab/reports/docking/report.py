@@ -62,7 +62,7 @@ def run(
             missing = store.missing()
             if missing:
                 record = progress(part, store.settings.n, len(store.done))
-                run_missing(store, workers, "", 0, record, stop, log)
+                run_missing(store, workers, record, stop, log)
         if stop():
             return False
     return True
