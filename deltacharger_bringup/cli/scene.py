@@ -13,7 +13,7 @@ from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, Result, wrong_inp
 from deltacharger_core.parameters import Declaration, declaration
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.overrides import problems
-from deltacharger_scenes.scene import Scene, SceneError, contradictions, load_scene, packaged_scenes, servos_apart
+from deltacharger_scenes.scene import Scene, SceneError, load_scene, packaged_scenes, servos_apart
 
 
 def add_scene(parser: argparse.ArgumentParser) -> None:
@@ -31,7 +31,7 @@ def load_for_command(name_or_file: str) -> Scene:
 
 
 def scene(options: argparse.Namespace) -> Result:
-    """Check scenes: the first problem of each, unvalidated values of its world and contradictions."""
+    """Check scenes: the first problem of each, and nodes with different files of measured servos."""
     reports, lines, remarks = [], [], []
     names = options.scenes or list(packaged_scenes())
     for name in names:
@@ -61,12 +61,9 @@ def scene(options: argparse.Namespace) -> Result:
 
 
 def _warnings(scene: Scene) -> Iterator[str]:
-    """Yield parameters that contradict the simulated world or each other."""
+    """Yield nodes with different files of measured servos."""
     for key, problem in servos_apart(scene.nodes, scene.parameters):
         yield f"{key}: {problem}"
-    if scene.simulation is not None:
-        for key, problem in contradictions(scene.parameters, scene.simulation.world):
-            yield f"{key}: {problem}"
 
 
 def _explained(scene: Scene, report: dict[str, Any], everything: bool) -> Iterator[str]:

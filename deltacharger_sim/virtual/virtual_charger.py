@@ -56,13 +56,12 @@ from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.trajectory_feed import Waypoint
 from deltacharger_sim.mechanics import Mechanics
 from deltacharger_sim.pads import ContactSource
-from deltacharger_sim.parameters import WorldParameters
+from deltacharger_sim.parameters import LITHIUM_7S, WorldParameters
 from deltacharger_sim.world import SharedWorld, TactileSource, World
 from deltacharger_tactile import PoseEstimator, default_model
 
 TICK = 0.01
-PROFILE = TargetProfile(empty_voltage=19.0, full_voltage=29.4, current=10.0, end_current=0.5)
-"""Of the simulated target: a 7S lithium battery."""
+PROFILE = TargetProfile(**LITHIUM_7S)
 _PROBE_TIME = 0.15  # s
 FRAME = 1.0 / FRAME_RATE
 GOAL = ElectrodePose((0.0, 0.0, DOCK_DISTANCE), 0.0)

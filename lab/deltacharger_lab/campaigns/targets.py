@@ -12,7 +12,7 @@ from deltacharger_docking.observation import DockGoal, DockingOutcome, Electrode
 from deltacharger_docking.parameters import TargetProfile
 from deltacharger_driver.emulators.power import PortParameters, StageParameters
 from deltacharger_sim.circuit import TARGET_KINDS
-from deltacharger_sim.parameters import WorldParameters
+from deltacharger_sim.parameters import LITHIUM_7S, WorldParameters
 from deltacharger_sim.virtual.virtual_charger import VirtualCharger
 
 LIMIT = 2400.0  # simulated s until charging must have ended
@@ -32,7 +32,6 @@ _PACKS = {  # V, empty and full
 
 Values = Mapping[str, Any]
 
-LITHIUM_7S: Values = {"empty_voltage": 19.0, "full_voltage": 29.4, "current": 10.0, "end_current": 0.5}
 FULL, UNTOUCHED, ENDED = "full", "untouched", "ended"
 _FILLING: Values = {"voltage": [22.0, 27.0], "capacity": [150.0, 250.0]}
 
