@@ -53,15 +53,6 @@ class MountError(_SourcedError):
     """
 
 
-class RenderingError(_SourcedError):
-    """A scene cannot be rendered. Example: a pose that is not a rigid transform.
-
-    Args:
-        source: affected part.
-        reason: what is wrong and what to do.
-    """
-
-
 class BoardError(_SourcedError):
     """A board description is unusable. Example: `apriltag:36h11:900`; the family has 587 tags.
 

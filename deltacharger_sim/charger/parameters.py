@@ -24,7 +24,7 @@ class SimulatedCameraNodeParameters(Bounded):
     mount_error: float = number(0.0, 0.0, 20.0, "", "error of that pose, drawn per axis; 1 = 2 mm and 0.5 degrees rms")
     target: tuple[float, ...] = pose((0.0, 0.0, DOCK_DISTANCE, 0.0, 0.0, 0.0, 1.0), "electrodes in charger_base")
     target_present: bool = flag(True, "false = no target")
-    clutter: int = number(0, 0, 100, "", "boxes around the target; every sixth brings an object that resembles it")
+    clutter: int = number(0, 0, 100, "", "boxes around the target")
     board: str = words("", "calibration board on the platform, such as apriltag:36h11:0 of 40 mm; empty = none")
 
 

@@ -42,7 +42,6 @@ from deltacharger_vision.terminal import turn
 _PAUSE = 0.05  # s between two checks for subscribers
 _ARM = 1.0  # s that an image waits for the arm's angles
 _MOVED, _TURNED = 0.002, 0.0087  # m and rad, standard deviations of a mount error of 1
-_BOXES = 6  # for each object that resembles electrodes
 
 
 def _mounted(given: SimulatedCameraNodeParameters, random: np.random.Generator) -> Array:
@@ -75,8 +74,7 @@ class SimulatedCameraNode(Node):
         try:
             self._mount = _mounted(given, self._random)
             self._target = Mount.from_numbers(given.target).pose
-            decoys = given.clutter // _BOXES
-            self._scene = draw_scene(self._random, given.clutter, decoys, given.target_present)
+            self._scene = draw_scene(self._random, given.clutter, given.target_present)
             self._camera = SimulatedCamera(OAK_D)
             self._board = Board.named(given.board, Board.size) if given.board else None
         except VisionError as error:

@@ -10,7 +10,7 @@ import numpy as np
 
 from deltacharger_core.arrays import Array, Mask
 from deltacharger_vision.hand_eye.board import Board
-from deltacharger_vision.rendering.scene import Box, RenderedScene, check_pose, shifted
+from deltacharger_vision.rendering.scene import Box, RenderedScene, shifted
 from deltacharger_vision.terminal import transform
 
 Area = tuple[int, int, int, int]
@@ -33,12 +33,7 @@ def bracket() -> Array:
 
 
 def with_board(scene: RenderedScene, board: Board, pose: Array) -> RenderedScene:
-    """Return the scene with a board at (4, 4) `pose`, from the board's frame to the optical frame.
-
-    Raises:
-        RenderingError: the pose is not a rigid transform.
-    """
-    check_pose("board", pose)
+    """Return the scene with a board at (4, 4) `pose`, from the board's frame to the optical frame."""
     plate, *cells = (dataclasses.replace(box, pose=pose @ box.pose, in_camera=True) for box in board_boxes(board))
     # The plate must be painted first, even if a cell is further away than its centre.
     return dataclasses.replace(scene, background=(*scene.background, plate), foreground=(*scene.foreground, *cells))

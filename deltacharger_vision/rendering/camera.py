@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from deltacharger_core.arrays import Array, Array32, Mask
 from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.rendering.ray_caster import Piece, Rays, brushed
-from deltacharger_vision.rendering.scene import Box, CameraParameters, RenderedScene, check_pose
+from deltacharger_vision.rendering.scene import Box, CameraParameters, RenderedScene
 
 _LEVELS = 4096
 _KNOTS = (6, 9)
@@ -255,11 +255,7 @@ class SimulatedCamera:
             camera_T_terminal: (4, 4), from the terminal's frame to the optical frame (x right, y down, z forward).
             random: draws noise, holes and the streaks of metal.
             color_only: leave all depth unknown, without computing it.
-
-        Raises:
-            RenderingError: the pose is not a rigid transform.
         """
-        check_pose("camera_T_terminal", camera_T_terminal)
         color, inverse, holes = self._painted(scene, np.asarray(camera_T_terminal, dtype=float), random)
         depth = None if color_only else (inverse, holes)
         return taken(color, depth, self.intrinsics, self.parameters, scene.parameters.unevenness, random)

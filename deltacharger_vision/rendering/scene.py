@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from deltacharger_core.arrays import Array
-from deltacharger_vision.errors import RenderingError
 from deltacharger_vision.terminal import Terminal, transform
 
 
@@ -103,9 +102,6 @@ class Box:
         color: reflectance of red, green, blue, linear, 0 to 1.
         metal: whether it mirrors the light, brushed along its x.
         in_camera: whether it moves with the camera, like the charger's own parts.
-
-    Raises:
-        RenderingError: the pose is not rigid, a size is negative or infinite, or a colour is out of bounds.
     """
 
     pose: Array
@@ -113,13 +109,6 @@ class Box:
     color: Color
     metal: bool = False
     in_camera: bool = False
-
-    def __post_init__(self) -> None:
-        check_pose("box", self.pose)
-        if len(self.size) != 3 or not all(0.0 <= length <= 100.0 for length in self.size):
-            raise RenderingError("box", f"size {self.size}; give three lengths of 0…100 m")
-        if len(self.color) != 3 or not all(0.0 <= part <= 1.0 for part in self.color):
-            raise RenderingError("box", f"color {self.color}; give three reflectances of 0…1")
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,9 +122,6 @@ class RenderedScene:
         background: boxes behind the plate.
         foreground: boxes in front of it.
         target: False omits plate and bars.
-
-    Raises:
-        RenderingError: the light has no direction.
     """
 
     terminal: Terminal = field(default_factory=Terminal)
@@ -144,10 +130,6 @@ class RenderedScene:
     background: tuple[Box, ...] = ()
     foreground: tuple[Box, ...] = ()
     target: bool = True
-
-    def __post_init__(self) -> None:
-        if not 1e-9 < float(np.linalg.norm(self.light)) < 1e9:
-            raise RenderingError("light", f"{self.light} has no direction; give a vector toward the light")
 
     def plate(self) -> Box:
         """Return the dark plate."""
@@ -181,17 +163,3 @@ class RenderedScene:
 def shifted(position: tuple[float, float, float]) -> Array:
     """Return the (4, 4) translation by `position` m."""
     return transform(np.eye(3), position)
-
-
-def check_pose(name: str, pose: Array) -> None:
-    """Refuse anything but a rigid transform (4, 4).
-
-    Raises:
-        RenderingError: another shape, NaN, scale, shear or mirroring.
-    """
-    if np.shape(pose) != (4, 4):
-        raise RenderingError(name, f"a pose of shape {np.shape(pose)}; give a (4, 4) transform")
-    turn = pose[:3, :3]
-    rigid = np.isfinite(pose).all() and np.allclose(turn @ turn.T, np.eye(3), atol=1e-6)
-    if not rigid or np.linalg.det(turn) < 0 or not np.allclose(pose[3], (0, 0, 0, 1)):
-        raise RenderingError(name, "its pose is not rigid; give rotation and translation, and 0 0 0 1 below")

@@ -30,7 +30,6 @@ from deltacharger_vision.rendering.scene import (
     CameraParameters,
     RenderedScene,
     SceneParameters,
-    check_pose,
     shifted,
 )
 
@@ -322,10 +321,8 @@ class MujocoCamera:
             color_only: leave all depth unknown.
 
         Raises:
-            RenderingError: the pose is not a rigid transform.
             RendererError: the camera is closed.
         """
-        check_pose("camera_T_terminal", camera_T_terminal)
         pose, p = np.asarray(camera_T_terminal, dtype=float), self.parameters
         boxes = [(_wall(scene.parameters), pose @ _wall(scene.parameters).pose), *scene.painted(pose)]
         light, inverse, number = self._drawn(scene, pose, boxes)

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 
 from deltacharger_core.arrays import Array
+from deltacharger_lab.reports.vision.drawing import KINDS, draw_obstruction, draw_room, hidden_share
 from deltacharger_vision.images import Intrinsics, project
 from deltacharger_vision.rendering.camera import OAK_D
 from deltacharger_vision.rendering.scene import Box, CameraParameters, RenderedScene
-from deltacharger_vision.rendering.scene_drawing import KINDS, draw_obstruction, draw_scene, hidden_share
 from deltacharger_vision.terminal import Terminal, turn
 
 Random = np.random.Generator
@@ -117,7 +117,7 @@ def in_clutter(random: Random, nearest: float, farthest: float) -> DrawnView:
 def in_room(random: Random, nearest: float, farthest: float) -> DrawnView:
     """Return a terminal in a drawn room: other materials, light and wall, boxes, and decoys of electrodes."""
     view = plain(random, nearest, farthest)
-    return dataclasses.replace(view, scene=draw_scene(random, clutter=8, decoys=3))
+    return dataclasses.replace(view, scene=draw_room(random, clutter=8, decoys=3))
 
 
 def covered(random: Random, share: float, both: bool = False) -> DrawnView:
@@ -145,7 +145,7 @@ def without(random: Random) -> DrawnView:
 def decoys(random: Random) -> DrawnView:
     """Return a drawn room with six things that resemble electrodes, among them terminals of another size."""
     view = plain(random, 0.2, 0.8)
-    return dataclasses.replace(view, scene=draw_scene(random, clutter=6, decoys=6, target=False))
+    return dataclasses.replace(view, scene=draw_room(random, clutter=6, decoys=6, target=False))
 
 
 def other_size(random: Random) -> DrawnView:
@@ -221,7 +221,7 @@ def unobstructed(random: Random) -> DrawnView:
     view = plain(random, *EVERYWHERE)
     exposure = float(np.exp(random.uniform(math.log(0.3), math.log(2.5))))
     if random.random() < 0.5:
-        view = dataclasses.replace(view, scene=draw_scene(random, clutter=6, decoys=1))
+        view = dataclasses.replace(view, scene=draw_room(random, clutter=6, decoys=1))
     return view.changed(camera={"exposure": exposure})
 
 
