@@ -94,8 +94,7 @@ NODES: dict[str, NodeSpec] = {
     "camera_node": NodeSpec(
         "deltacharger_vision.cameras.camera_node.CameraNode",
         parameters=(
-            "deltacharger_vision.cameras.oak_pipeline.OakSettings",
-            "deltacharger_vision.parameters.ReplayParameters",
+            "deltacharger_vision.parameters.CameraNodeParameters",
             _FRAMES,
         ),
         may_restart=True,

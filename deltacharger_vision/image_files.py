@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from deltacharger_core.arrays import ArrayError, read_array
 from deltacharger_core.files import FileRefused, open_file, read_bytes
 from deltacharger_vision.errors import ImageError
-from deltacharger_vision.images import COLOR, DEPTH, MILLIMETRE, Intrinsics, RgbdImage
+from deltacharger_vision.images import COLOR, DEPTH, Intrinsics, RgbdImage
 
 CAMERA_INFO = "camera_info.yaml"
 """Name of the intrinsics' file in a folder of images."""
@@ -41,11 +41,11 @@ class ImageFiles:
     color: Path | None
     depth: Path | None
 
-    def read(self, intrinsics: Intrinsics, depth_unit: float = MILLIMETRE) -> RgbdImage:
+    def read(self, intrinsics: Intrinsics) -> RgbdImage:
         """Return the image, without depth if it has none; raises the errors of `read_rgbd`."""
         if self.color is None:
             raise ImageError(str(self.depth), "has no colour image of the same name")
-        return read_rgbd(self.color, self.depth, intrinsics, depth_unit)
+        return read_rgbd(self.color, self.depth, intrinsics)
 
 
 def require_opencv() -> Any:
@@ -65,14 +65,13 @@ def require_opencv() -> Any:
     return cv2
 
 
-def read_rgbd(color: Path, depth: Path | None, intrinsics: Intrinsics, depth_unit: float = MILLIMETRE) -> RgbdImage:
+def read_rgbd(color: Path, depth: Path | None, intrinsics: Intrinsics) -> RgbdImage:
     """Return colour and depth of the same pixels.
 
     Args:
         color: see `read_color`.
         depth: see `read_depth`; None = all unknown.
         intrinsics: of the colour image.
-        depth_unit: of 16-bit depth, m.
 
     Raises:
         OSError: a file cannot be read.
@@ -82,7 +81,7 @@ def read_rgbd(color: Path, depth: Path | None, intrinsics: Intrinsics, depth_uni
     pixels = read_color(color)
     metres = np.full(pixels.shape[:2], np.nan, dtype=np.float32) if depth is None else read_depth(depth)
     try:
-        return RgbdImage.make(pixels, metres, intrinsics, depth_unit)
+        return RgbdImage.make(pixels, metres, intrinsics)
     except ImageError as error:
         named = depth if error.source == "depth" and depth is not None else color
         raise ImageError(str(named), str(error)) from error

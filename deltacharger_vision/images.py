@@ -31,8 +31,9 @@ SMALLEST, LARGEST = 16, 16384
 """Limits of an image's width and height, px."""
 _FOCAL = (1.0, 1e5)
 _COEFFICIENT = 1e4
-MILLIMETRE = 1e-3
-"""Usual unit of 16-bit depth, m (REP 118)."""
+_MILLIMETRE = 1e-3  # m, unit of 16-bit depth (REP 118)
+STAMP_TOLERANCE = 15_000_000
+"""ns between the stamps of colour and depth: less than half of an image period at 30 Hz."""
 NEAREST_DEPTH = 0.174
 """m, from which an OAK-D measures depth at 640 × 400 with extended disparity."""
 DEPTH_BIAS = 0.01
@@ -158,23 +159,20 @@ class RgbdImage:
     intrinsics: Intrinsics
 
     @staticmethod
-    def make(
-        color: NDArray[Any], depth: NDArray[Any], intrinsics: Intrinsics, depth_unit: float = MILLIMETRE
-    ) -> RgbdImage:
+    def make(color: NDArray[Any], depth: NDArray[Any], intrinsics: Intrinsics) -> RgbdImage:
         """Check and convert the arrays of a camera or a file.
 
         Args:
             color: see `rgb8`.
-            depth: (H, W) or (H, W, 1); uint16 in units of `depth_unit` with 0 and 65535 = unknown, or float32/float64
-                m with 0, ±inf or NaN = unknown.
+            depth: (H, W) or (H, W, 1); uint16 mm (REP 118) with 0 and 65535 = unknown, or float32/float64 m
+                with 0, ±inf or NaN = unknown.
             intrinsics: of this image.
-            depth_unit: m.
 
         Raises:
             ImageError: an array has another shape or type, sizes differ, or the depth is negative or float
                 millimetres.
         """
-        rgb, metres = rgb8(np.asarray(color)), _depth(np.asarray(depth), depth_unit)
+        rgb, metres = rgb8(np.asarray(color)), _depth(np.asarray(depth))
         if rgb.shape[:2] != metres.shape:
             raise ImageError(
                 "depth",
@@ -219,8 +217,8 @@ def rgb8(array: NDArray[Any]) -> NDArray[np.uint8]:
     return np.ascontiguousarray(array[:, :, :3])
 
 
-def _depth(array: NDArray[Any], unit: float) -> NDArray[np.float32]:
-    """Return (H, W) float32 m with NaN where unknown; `unit` (m) of uint16."""
+def _depth(array: NDArray[Any]) -> NDArray[np.float32]:
+    """Return (H, W) float32 m with NaN where unknown."""
     if array.ndim == 3 and array.shape[2] == 1:
         array = array[:, :, 0]
     if not array.size or array.ndim != 2:
@@ -228,7 +226,7 @@ def _depth(array: NDArray[Any], unit: float) -> NDArray[np.float32]:
     if array.dtype not in (np.uint16, np.float32, np.float64):
         raise ImageError("depth", f"type {array.dtype}; must be uint16, or float32 or float64 in m")
     if array.dtype == np.uint16:
-        metres = array.astype(np.float32) * np.float32(unit)
+        metres = array.astype(np.float32) * np.float32(_MILLIMETRE)
         metres[(array == 0) | (array == _SATURATED)] = np.nan
         return metres
     unknown = ~np.isfinite(array) | (array == 0.0)

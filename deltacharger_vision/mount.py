@@ -20,7 +20,7 @@ from deltacharger_core.arrays import Array
 from deltacharger_core.files import brief
 from deltacharger_core.frames import CAMERA, CHARGER_BASE, rotation
 from deltacharger_core.machine import DOCK_DISTANCE
-from deltacharger_core.texts import ON_ROBOT, far, outside
+from deltacharger_core.texts import far
 from deltacharger_core.yaml_file import YamlError, read_yaml, write_yaml
 from deltacharger_vision.errors import MountError
 from deltacharger_vision.terminal import Detection, cross_matrix, transform
@@ -127,8 +127,8 @@ def is_front(axis: Array, normal: Array, sight: Array) -> bool:
 
 
 FRAME, CAMERA_FRAME = CHARGER_BASE, CAMERA
-POSITION_STDDEV, ROTATION_STDDEV = 0.002, math.radians(0.5)
-"""Error per axis of a mount without covariance: m and rad; accuracy of a calibration by hand (assumed)."""
+_USUAL = np.diag([0.002**2] * 3 + [math.radians(0.5) ** 2] * 3)
+"""Covariance of a mount without its own: m² and rad²; accuracy of a calibration by hand (assumed)."""
 _PLACE, _DOCK = (0.0, 0.12, -0.12), (0.0, 0.0, DOCK_DISTANCE)
 _UNIT = 1e-3
 _KEYS = ("frame", "camera_frame", "position", "orientation", "covariance", "calibration")
@@ -169,18 +169,11 @@ class Mount:
     @staticmethod
     def default() -> Mount:
         """Return the usual mount: at (0, 0.12, −0.12) m, upright, pitched so that (0, 0, 80 mm) is centred."""
-        return Mount(look_at(_PLACE, _DOCK), _independent(POSITION_STDDEV, ROTATION_STDDEV))
+        return Mount(look_at(_PLACE, _DOCK), _USUAL)
 
     @staticmethod
-    def from_numbers(
-        seven: Sequence[float], position_stddev: float = POSITION_STDDEV, rotation_stddev: float = ROTATION_STDDEV
-    ) -> Mount:
-        """Build a mount from x, y, z (m) and the quaternion x, y, z, w.
-
-        Args:
-            seven: these numbers; the quaternion's length is 1 within 0.001.
-            position_stddev: m, per axis.
-            rotation_stddev: rad, per axis.
+    def from_numbers(seven: Sequence[float]) -> Mount:
+        """Build a mount with the usual error from x, y, z (m) and the quaternion x, y, z, w, of length 1 within 0.001.
 
         Raises:
             MountError: the numbers are not a pose.
@@ -188,7 +181,7 @@ class Mount:
         if len(seven) != 7:
             raise MountError("mount", f"{len(seven)} numbers; give seven: x y z qx qy qz qw")
         pose = transform(_rotation(np.asarray(seven[3:], dtype=float)), seven[:3])
-        return Mount(pose, _independent(position_stddev, rotation_stddev))
+        return Mount(pose, _USUAL)
 
     @staticmethod
     def load(path: str | Path) -> Mount:
@@ -305,12 +298,6 @@ def _rotation(q: Array) -> Array:
     if not abs(length - 1.0) <= _UNIT:
         raise MountError("orientation", f"a quaternion of length {length:.4g}; its length must be 1")
     return np.array(rotation(*q))
-
-
-def _independent(position: float, rotation: float) -> Array:
-    if problem := outside(position, 0.0, ON_ROBOT, "m") or outside(rotation, 0.0, math.pi, "rad"):
-        raise MountError("stddev", problem)
-    return np.diag([position**2] * 3 + [rotation**2] * 3)
 
 
 def _numbers(found: Mapping[str, Any], key: str, count: int) -> list[float]:

@@ -1,35 +1,55 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of camera_node and electrode_detector_node, except those of the camera and the terminal."""
+"""Parameters of camera_node and electrode_detector_node, except those of the terminal."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import PurePosixPath
 
-from deltacharger_core.parameters import Bounded, flag, number, pose, tunable, words
-from deltacharger_vision.images import DEPTH_BIAS, MILLIMETRE, NEAREST_DEPTH
-from deltacharger_vision.mount import POSITION_STDDEV, ROTATION_STDDEV, Mount, pose_numbers
+from deltacharger_core.parameters import Bounded, ParameterError, flag, number, words
+from deltacharger_vision.images import NEAREST_DEPTH
 
-COLOR, DEPTH, CAMERA_INFO = "color/image_raw", "depth/image_raw", "color/camera_info"
+COLOR_TOPIC, DEPTH_TOPIC = "color/image_raw", "depth/image_raw"
 """Relative topic names of an RGB-D camera."""
 
 
-@dataclass(frozen=True)
-class ReplayParameters(Bounded):
-    """Recording that camera_node publishes instead of a camera."""
+def info_topic(color: str) -> str:
+    """Return the name of the calibration's topic, beside that of the colour images."""
+    return str(PurePosixPath(color).with_name("camera_info"))
 
-    replay: str = words("", "MCAP recording to publish instead of a camera")
-    replay_loop: bool = flag(False, "restart the recording at its end")
+
+@dataclass(frozen=True)
+class OakSettings(Bounded):
+    """Setup of an OAK-D.
+
+    Raises:
+        ParameterError: a value is out of bounds, or the exposure takes longer than one image.
+    """
+
+    rate: float = number(15.0, 1.0, 60.0, "Hz", "images per second")
+    exposure_us: int = number(10_000, 1, 33_000, "µs", "exposure of the colour camera (assumed)")
+    device_id: str = words("", "id or name of the camera; '' = any")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.exposure_us > 1e6 / self.rate:
+            longest = f"{self.exposure_us} is outside 1 to {1e6 / self.rate:.0f} µs at this rate"
+            raise ParameterError("exposure_us", self.exposure_us, longest)
+
+
+@dataclass(frozen=True)
+class CameraNodeParameters(OakSettings):
+    """Setup of an OAK-D, or the recording to publish instead."""
+
+    replay: str = words("", "MCAP recording to publish, again and again, instead of a camera")
 
 
 @dataclass(frozen=True)
 class DetectorNodeParameters(Bounded):
     """Operation of electrode_detector_node, and the camera's mount."""
 
-    rate: float = tunable(0.0, 0, 60, "Hz", "images examined while there are subscribers ({unit}); 0 = none")
-    timeout: float = tunable(2.0, 0.1, 60.0, "s", "search time of a request without its own timeout")
-    image_age_max: float = tunable(0.5, 0.02, 10.0, "s", "largest age of a usable image")
-    stamp_tolerance: float = number(0.015, 0.0, 1.0, "s", "largest difference between the stamps of colour and depth")
-    depth_unit: float = number(MILLIMETRE, 1e-5, 0.01, "m", "unit of 16-bit depth: 1 mm by REP 118, 0.1 mm by some")
+    rate: float = number(0.0, 0, 60, "Hz", "images examined while there are subscribers ({unit}); 0 = none")
+    image_age_max: float = number(0.5, 0.02, 10.0, "s", "largest age of a usable image")
     depth_range_min: float = number(
         NEAREST_DEPTH,
         0.0,
@@ -37,17 +57,9 @@ class DetectorNodeParameters(Bounded):
         "m",
         "depth nearer than the camera can measure is not used: OAK-D 0.174, D435 0.28, D455 0.52",
     )
-    depth_bias: float = number(
-        DEPTH_BIAS, 0.0, 0.2, "", "standard deviation of the relative error of all depth; makers allow twice as much"
-    )
-    color_topic: str = words(COLOR, "topic of the colour images")
-    depth_topic: str = words(DEPTH, "topic of the depth images, aligned to colour")
-    camera_info_topic: str = words(CAMERA_INFO, "topic of the colour images' calibration")
-    mount_file: str = words("", "YAML of `deltacharger calibrate camera`; replaces the three parameters mount…")
+    color_topic: str = words(COLOR_TOPIC, "topic of the colour images; their calibration is camera_info beside it")
+    depth_topic: str = words(DEPTH_TOPIC, "topic of the depth images, aligned to colour")
+    mount_file: str = words("", "YAML of `deltacharger calibrate camera`; empty = the usual mount")
     mount_from_tf: bool = flag(
-        False,
-        "take the camera's pose from tf, by the frame_id of its images, instead of mount; tf has no covariance",
+        False, "take the camera's pose from tf, by the frame_id of its images; tf has no covariance"
     )
-    mount: tuple[float, ...] = pose(pose_numbers(Mount.default().pose), "camera_color_optical_frame in charger_base")
-    mount_position_stddev: float = number(POSITION_STDDEV, 0.0, 0.1, "m", "error of the mount's position, per axis")
-    mount_rotation_stddev: float = number(ROTATION_STDDEV, 0.0, 0.5, "rad", "error of the mount's rotation, per axis")

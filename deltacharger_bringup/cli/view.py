@@ -289,9 +289,7 @@ def mount_of(scene: Scene) -> NDArray[np.float64]:
     """
     given = scene.parameters.get("electrode_detector_node", {})
     with wrong_input(OSError, ValueError, before=f"{scene.file}: parameters.electrode_detector_node: "):
-        if given.get("mount_file"):
-            return Mount.load(given_path(given["mount_file"])).pose
-        return (Mount.from_numbers(given["mount"]) if "mount" in given else Mount.default()).pose
+        return (Mount.load(given_path(given["mount_file"])) if given.get("mount_file") else Mount.default()).pose
 
 
 def _show_charger(rr: Any, options: argparse.Namespace) -> Result:

@@ -14,17 +14,17 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from deltacharger_bringup.cli.arguments import between, folder_to_write
+from deltacharger_bringup.cli.arguments import folder_to_write
 from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, Result, Tenths, WrongInput, log_line, wrong_input
 from deltacharger_core import environment
 from deltacharger_core.mcap_file import RecordingError, recordings_in
-from deltacharger_vision.cameras.recording import CameraRecording, CameraTopics
 from deltacharger_vision.cameras.ros_formats import load_camera_info
 from deltacharger_vision.detector.detector import ElectrodeDetector, annotated
 from deltacharger_vision.errors import VisionError
 from deltacharger_vision.image_files import CAMERA_INFO, PICTURES, ImageFiles, images_in, require_opencv, write_picture
 from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.mount import CAMERA_FRAME, FRAME, Mount, Placed
+from deltacharger_vision.ros.recording import CameraRecording, CameraTopics
 from deltacharger_vision.terminal import Detection, Terminal
 
 _TOPICS = ("color_topic", "depth_topic", "info_topic")
@@ -41,8 +41,6 @@ def add_detect(parser: argparse.ArgumentParser) -> None:
     add("--depth", metavar="A.png|A.npy", help=text)
     text = "intrinsics of the colour image (folder: its camera_info.yaml; recording: its own)"
     add("--camera-info", metavar="K.yaml", help=text)
-    text = "unit of 16-bit depth (default: 1, some cameras 0.1)"
-    add("--depth-unit-mm", type=between(0.01, 10.0), default=1.0, metavar="MM", help=text)
     add("--terminal", metavar="T.yaml", help="size of the bars (default: 70 × 10 mm, 7.4 mm apart)")
     add("--mount", metavar="MOUNT.yaml", help="also report the pose in charger_base")
     add("--pictures", metavar="DIR", help="folder for a copy of every image with the result drawn into it")
@@ -59,7 +57,7 @@ class _Readable(Protocol):
     def name(self) -> str:
         """Name in the results."""
 
-    def read(self, camera: Any, depth_unit: float) -> RgbdImage:
+    def read(self, camera: Any) -> RgbdImage:
         """Return the image, or raise VisionError or OSError."""
 
 
@@ -109,7 +107,7 @@ def _search(options: argparse.Namespace, source: _Images, pictures: Path | None)
     mount = Mount.load(options.mount) if options.mount else None
     for each in source.images:
         try:
-            image = each.read(source.camera, 1e-3 * options.depth_unit_mm)
+            image = each.read(source.camera)
             started = time.perf_counter()
             found = detector.detect(image)
             took = time.perf_counter() - started
@@ -156,7 +154,7 @@ def _stored(options: argparse.Namespace, folder: Path) -> _Images:
 def _recorded(options: argparse.Namespace, path: Path) -> _Images:
     """Return the images of a recording."""
     environment.prepare()
-    from deltacharger_vision.ros.recorded import recorded_images, recorded_info
+    from deltacharger_vision.ros.recording import recorded_images, recorded_info
 
     recording = CameraRecording(path, CameraTopics(options.color_topic, options.depth_topic, options.info_topic))
     topics = recording.topics

@@ -3,13 +3,13 @@
 
 Publishes: color/image_raw (rgb8), depth/image_raw (16UC1, mm, aligned to colour), color/camera_info, each converted
 only while it has subscribers; /diagnostics (1 Hz, and at every change).
-Parameters: width, height, rate, exposure_us, iso, lens_position, device_id, frame_prefix; replay, replay_loop.
+Parameters: rate, exposure_us, device_id, frame_prefix; replay.
 
 If the camera is missing or unplugged, or depthai is not installed, the node reports it and keeps searching: a charger
 can dock to coordinates without a camera. All three messages of an image have one stamp, the middle of the colour
 exposure. depthai aligns the device's clock to this computer's monotonic clock. At publication, the image's age by that
 clock is subtracted from ROS time, so steps of ROS time do no harm.
-Other cameras have their own drivers and need no camera_node. Executable: `camera_node [--replay FILE [--loop]]`.
+Other cameras have their own drivers and need no camera_node. Executable: `camera_node [--replay FILE]`.
 """
 
 from __future__ import annotations
@@ -37,18 +37,15 @@ from deltacharger_vision.cameras.oak_pipeline import (
     ImageSource,
     OakCamera,
     OakImage,
-    OakSettings,
-    OpenCamera,
 )
-from deltacharger_vision.cameras.recording import CameraRecording, Recorded
 from deltacharger_vision.errors import VisionError
 from deltacharger_vision.images import COLOR, INFO
-from deltacharger_vision.parameters import ReplayParameters
+from deltacharger_vision.parameters import CameraNodeParameters, OakSettings
 from deltacharger_vision.ros.messages import CameraPublishers, stamp_ns
-from deltacharger_vision.ros.recorded import decoded
+from deltacharger_vision.ros.recording import CameraRecording, Recorded, decoded
 
 _DIAGNOSTICS_PERIOD = 1.0  # s
-OpenOak = Callable[[OakSettings, Callable[[], bool], Callable[[OakImage], None]], OpenCamera]
+OpenOak = Callable[[OakSettings, Callable[[], bool], Callable[[OakImage], None]], OakCamera]
 """Opens a camera like `OakCamera`."""
 _PAUSE = 0.05  # s between checks for subscribers
 _JUMP = 1_000_000_000  # ns; a stamp that deviates by more belongs to another clock
@@ -56,28 +53,20 @@ _LEAST_GAP = 0.01  # s between passes of a recording whose images all have one t
 
 
 class RecordingPlayer(ImageSource):
-    """Publishes a recording at its own pace, starting with the first subscriber.
+    """Publishes a recording again and again at its own pace, starting with the first subscriber.
 
     Stamps are shifted to the present and keep their intervals. Each colour image has a camera_info with its stamp.
-
-    Attributes:
-        passes: completed passes.
 
     Args:
         recording: to publish.
         publishers: of the topics.
-        loop: restart at the end.
         on_change: called in its thread if `problem` changes.
     """
 
-    def __init__(
-        self, recording: CameraRecording, publishers: CameraPublishers, loop: bool, on_change: Callable[[], None]
-    ) -> None:
+    def __init__(self, recording: CameraRecording, publishers: CameraPublishers, on_change: Callable[[], None]) -> None:
         super().__init__("", on_change)
-        self.passes = 0
         self._recording = recording
         self._publishers = publishers
-        self._loop = loop
         self._info = next((decoded(recording, each) for each in recording.messages(INFO)), None)
 
     def _run(self) -> None:
@@ -85,14 +74,10 @@ class RecordingPlayer(ImageSource):
             if self._stop.wait(_PAUSE):
                 return
         try:
-            self._play()
-            while self._loop and not self._stop.is_set():
+            while not self._stop.is_set():
                 self._play()
-            problem = "the recording has ended"
         except RecordingError as error:
-            problem = str(error)
-        if not self._stop.is_set():
-            self._set_problem(problem)
+            self._set_problem(str(error))
 
     def _play(self) -> None:
         """Publish the recording once, or until stopped."""
@@ -106,9 +91,7 @@ class RecordingPlayer(ImageSource):
                 self._info = decoded(self._recording, each)
             elif self._publishers.wanted(each.kind, INFO):
                 shift = self._publish(each, shift)
-        self.passes += 1
-        if self._loop:
-            self._stop.wait(max(_LEAST_GAP, lasted / max(self._recording.images - 1, 1)))
+        self._stop.wait(max(_LEAST_GAP, lasted / max(self._recording.images - 1, 1)))
 
     def _publish(self, each: Recorded, shift: int | None) -> int:
         """Publish an image and return the shift of its stamp, ns."""
@@ -132,8 +115,7 @@ class CameraNode(Node):
     def __init__(self, open_camera: OpenOak | None = None, **kwargs: Any) -> None:
         super().__init__("camera_node", **kwargs)
         self._log = Log(self)
-        self._settings = declare_all(self, OakSettings)
-        self._given = declare_all(self, ReplayParameters)
+        self._given = declare_all(self, CameraNodeParameters)
         frames = declare_all(self, FrameParameters)
         reject_unknown(self)
         self._images = CameraPublishers(self, frames.named(CAMERA))
@@ -150,14 +132,14 @@ class CameraNode(Node):
 
     def _keeper(self, open_camera: OpenOak | None) -> CameraKeeper:
         opener = open_camera or OakCamera
-        return CameraKeeper(lambda: opener(self._settings, self._images.wanted, self._publish), self._report)
+        return CameraKeeper(lambda: opener(self._given, self._images.wanted, self._publish), self._report)
 
     def _replay(self, path: Path) -> RecordingPlayer:
         try:
             recording = CameraRecording(path)
             if not recording.images:
                 raise node_support.StartupError(f"camera_node: {path}: {recording.topics.color} holds no images")
-            return RecordingPlayer(recording, self._images, self._given.replay_loop, self._report)
+            return RecordingPlayer(recording, self._images, self._report)
         except FileNotFoundError as error:
             raise node_support.StartupError(f"camera_node: replay: {path}: there is no such file") from error
         except (OSError, VisionError, RecordingError) as error:
@@ -176,7 +158,7 @@ class CameraNode(Node):
         self._diagnose()
 
     def _hardware(self) -> str:
-        return self._given.replay or getattr(self._source, "name", "") or self._settings.device_id or "OAK-D"
+        return self._given.replay or getattr(self._source, "name", "") or self._given.device_id or "OAK-D"
 
     def _diagnose(self) -> None:
         if not self.context.ok():
@@ -192,17 +174,14 @@ def main(args: Sequence[str] | None = None) -> int:
     """Run the node; see node_support.run for the exit codes."""
     parser = argparse.ArgumentParser(prog="camera_node", description="Publish the images of an OAK-D or a recording.")
     parser.add_argument("--replay", metavar="REC.mcap", help="publish a recording instead of a camera")
-    parser.add_argument("--loop", action="store_true", help="restart the recording at its end")
-    words = list(sys.argv[1:] if args is None else args)
+    given = list(sys.argv[1:] if args is None else args)
     try:
-        own = remove_ros_args(words)
-    except Exception:  # rclpy's own error classes; `run` refuses these words
+        own = remove_ros_args(given)
+    except Exception:  # rclpy's own error classes; `run` refuses these
         own = []
     options = parser.parse_args(own)
-    overrides = [Parameter("replay_loop", value=True)] if options.loop else []
-    if options.replay:
-        overrides.append(Parameter("replay", value=options.replay))
-    return node_support.run(lambda: CameraNode(parameter_overrides=overrides), ["camera_node", *words])
+    overrides = [Parameter("replay", value=options.replay)] if options.replay else []
+    return node_support.run(lambda: CameraNode(parameter_overrides=overrides), ["camera_node", *given])
 
 
 if __name__ == "__main__":

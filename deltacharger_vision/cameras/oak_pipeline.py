@@ -17,14 +17,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import timedelta
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from deltacharger_core.parameters import Bounded, ParameterError, number, words
 from deltacharger_vision.cameras.ros_formats import from_camera_info
 from deltacharger_vision.errors import VisionError
 from deltacharger_vision.images import COLOR, DEPTH, RgbdImage
+from deltacharger_vision.parameters import OakSettings
 
 _SHORTEST_BACKOFF, _LONGEST_BACKOFF = 0.5, 4.0  # s
 _LOOK = 0.1  # s between checks of an open camera
@@ -32,22 +32,6 @@ _LOOK = 0.1  # s between checks of an open camera
 
 class CameraUnavailable(VisionError, RuntimeError):
     """No camera, or one without images; the message names it and states what to do."""
-
-
-class OpenCamera(Protocol):
-    """A camera that delivers images until `problem` reports otherwise.
-
-    Attributes:
-        name: identifies the device to people.
-    """
-
-    name: str
-
-    def problem(self) -> str:
-        """Return why images stopped; '' while they arrive."""
-
-    def close(self) -> None:
-        """Release the device."""
 
 
 class ImageSource(ABC):
@@ -98,7 +82,7 @@ class CameraKeeper(ImageSource):
         on_change: called in the keeper's thread whenever `problem` changes.
     """
 
-    def __init__(self, open_camera: Callable[[], OpenCamera], on_change: Callable[[], None]) -> None:
+    def __init__(self, open_camera: Callable[[], OakCamera], on_change: Callable[[], None]) -> None:
         super().__init__("searching for the camera", on_change)
         self.name = ""
         self._open = open_camera
@@ -116,7 +100,7 @@ class CameraKeeper(ImageSource):
             self._stop.wait(backoff)
             backoff = min(2.0 * backoff, _LONGEST_BACKOFF)
 
-    def _watch(self, camera: OpenCamera) -> None:
+    def _watch(self, camera: OakCamera) -> None:
         """Return when the camera stops delivering; the device is then released."""
         self.name = camera.name
         try:
@@ -129,36 +113,15 @@ class CameraKeeper(ImageSource):
             camera.close()
 
 
-_STEREO = (640, 400)
-"""px of each stereo image: with extended disparity, depth starts at 0.174 m."""
+_SIZE = (640, 400)
+"""px of colour and of each stereo image: with extended disparity, depth starts at 0.174 m."""
+_ISO = 400
+"""Sensitivity of the colour camera (assumed)."""
 _SILENCE, _FIRST_IMAGE = 2.0, 10.0
 """s without an image until the camera counts as silent: while running, and after opening."""
 
 Take = Callable[[Any, Any], None]
 """Receives simultaneous colour and depth frames (depthai.ImgFrame)."""
-
-
-@dataclass(frozen=True)
-class OakSettings(Bounded):
-    """Setup of an OAK-D.
-
-    Raises:
-        ParameterError: a value is out of bounds, or the exposure takes longer than one image.
-    """
-
-    width: int = number(640, 160, 1920, "px", "width of colour and depth")
-    height: int = number(400, 100, 1200, "px", "height of colour and depth")
-    rate: float = number(15.0, 1.0, 60.0, "Hz", "images per second")
-    exposure_us: int = number(10_000, 1, 33_000, "µs", "exposure of the colour camera (assumed)")
-    iso: int = number(400, 100, 1600, "", "sensitivity of the colour camera (assumed)")
-    lens_position: int = number(-1, -1, 255, "", "focus of the colour camera; -1 = as calibrated")
-    device_id: str = words("", "id or name of the camera; '' = any")
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.exposure_us > 1e6 / self.rate:
-            longest = f"{self.exposure_us} is outside 1 to {1e6 / self.rate:.0f} µs at this rate"
-            raise ParameterError("exposure_us", self.exposure_us, longest)
 
 
 @dataclass(frozen=True)
@@ -327,18 +290,15 @@ def _sources(pipeline: Any, calibration: Any, settings: OakSettings) -> tuple[An
 
     sockets = depthai.CameraBoardSocket
     camera = pipeline.create(depthai.node.Camera).build(sockets.CAM_A)
-    camera.initialControl.setManualExposure(settings.exposure_us, settings.iso)
-    lens = calibration.getLensPosition(sockets.CAM_A) if settings.lens_position < 0 else settings.lens_position
-    if lens:  # 0 if the focus is fixed
+    camera.initialControl.setManualExposure(settings.exposure_us, _ISO)
+    if lens := calibration.getLensPosition(sockets.CAM_A):  # 0 if the focus is fixed
         camera.initialControl.setManualFocus(lens)
-    color = camera.requestOutput(
-        (settings.width, settings.height), depthai.ImgFrame.Type.RGB888i, fps=settings.rate, enableUndistortion=True
-    )
+    color = camera.requestOutput(_SIZE, depthai.ImgFrame.Type.RGB888i, fps=settings.rate, enableUndistortion=True)
     stereo = pipeline.create(depthai.node.StereoDepth)
     stereo.setExtendedDisparity(True)
     stereo.setSubpixel(True)
     stereo.setLeftRightCheck(True)
     for socket, entry in ((sockets.CAM_B, stereo.left), (sockets.CAM_C, stereo.right)):
-        pipeline.create(depthai.node.Camera).build(socket).requestOutput(_STEREO, fps=settings.rate).link(entry)
+        pipeline.create(depthai.node.Camera).build(socket).requestOutput(_SIZE, fps=settings.rate).link(entry)
     color.link(stereo.inputAlignTo)
     return color, stereo.depth

@@ -43,7 +43,7 @@ from deltacharger_vision.detector.judgement import (
 )
 from deltacharger_vision.detector.observed import Lines, Plane, fit_plane
 from deltacharger_vision.errors import CameraInfoError
-from deltacharger_vision.images import DEPTH_BIAS, LIGHT, NEAREST_DEPTH, Intrinsics, RgbdImage, check_lens, project
+from deltacharger_vision.images import LIGHT, NEAREST_DEPTH, Intrinsics, RgbdImage, check_lens, project
 from deltacharger_vision.mount import line_angle
 from deltacharger_vision.terminal import Detection, Terminal, cross_matrix
 
@@ -62,7 +62,7 @@ class PartsJudge(Judge):
         if not 0.7 * NEAREST_TARGET < start.translation[2] < 1.4 * FARTHEST_TARGET:
             return []
         region = self._region(start, self._dark(start)[0])
-        plane = fit_plane(region, self._depth_bias, np.random.default_rng(0))
+        plane = fit_plane(region, np.random.default_rng(0))
         if plane is None or not agree(plane, start, 3.0 * DEPTH_AGREEMENT):
             return []
         found = []
@@ -129,14 +129,11 @@ class ElectrodeDetector:
     Args:
         terminal: size of the bars.
         stereo_range: least distance (m) at which depth counts.
-        depth_bias: standard deviation of the relative error of all depth, and of its change per unit ray.
     """
 
-    def __init__(
-        self, terminal: Terminal | None = None, stereo_range: float = NEAREST_DEPTH, depth_bias: float = DEPTH_BIAS
-    ) -> None:
+    def __init__(self, terminal: Terminal | None = None, stereo_range: float = NEAREST_DEPTH) -> None:
         self.terminal = terminal or Terminal()
-        self._stereo_range, self._depth_bias = stereo_range, depth_bias
+        self._stereo_range = stereo_range
 
     def detect(self, image: RgbdImage) -> Detection | None:
         """Return the terminal with the best support in the image, or None. Deterministic.
@@ -154,7 +151,7 @@ class ElectrodeDetector:
         # An edge lies at half the light, not at half its encoded value.
         smooth = cv2.GaussianBlur(cv2.LUT(grey, _LINEAR), (0, 0), _SMOOTHING)
         check_lens(image.intrinsics)
-        judge = PartsJudge(smooth, image, self.terminal, self._stereo_range, self._depth_bias)
+        judge = PartsJudge(smooth, image, self.terminal, self._stereo_range)
         best: Candidate | None = None
         for pair in find_pairs(find_blobs(grey), self.terminal):
             if best is not None and self._covers(best, pair, image.intrinsics):

@@ -5,10 +5,9 @@ Subscribes while detecting: color/image_raw, depth/image_raw (aligned to colour)
 Publishes: electrode_detection if it finds electrodes, electrode_detection/image (annotated, while it has subscribers),
 /diagnostics (1 Hz).
 Serves: detect_electrodes, which examines new images until it finds the electrodes or times out.
-Parameters: rate (0 = on demand only), timeout and image_age_max may be set while the node runs; stamp_tolerance, the
-topics, the depth's properties, the mount and the terminal's lengths may not.
-It moves nothing. With a rate, it detects while electrode_detection has subscribers. Without OpenCV it keeps running,
-reports the error and keeps trying to load it: a charger can dock to coordinates without a camera.
+Parameters: rate (0 = on demand only), image_age_max, topics, nearest depth, mount, and the terminal's lengths.
+It moves nothing. With a rate, it detects while electrode_detection has subscribers. Without OpenCV it keeps running and
+reports the error: a charger can dock to coordinates without a camera.
 """
 
 from __future__ import annotations
@@ -24,7 +23,6 @@ from typing import Any
 
 from deltacharger.msg import ElectrodeDetection
 from deltacharger.srv import DetectElectrodes
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
@@ -40,53 +38,16 @@ from deltacharger_ros.log import Log
 from deltacharger_ros.messages import seconds, unknown
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import SERVICE
-from deltacharger_ros.tuning import Regularly, Tuning
+from deltacharger_ros.tuning import Regularly
 from deltacharger_vision.detector.detector import ElectrodeDetector, annotated
 from deltacharger_vision.errors import MountError, VisionError
-from deltacharger_vision.images import RgbdImage, StampMatcher
+from deltacharger_vision.images import STAMP_TOLERANCE, RgbdImage, StampMatcher
 from deltacharger_vision.mount import Mount
-from deltacharger_vision.parameters import CAMERA_INFO, COLOR, DEPTH, DetectorNodeParameters
+from deltacharger_vision.parameters import DetectorNodeParameters, info_topic
 from deltacharger_vision.ros.messages import color_message, detection_message, rgbd_of, slash_hint, stamp_ns
 from deltacharger_vision.terminal import Terminal
 
-_QUOTED_MAX = 300  # characters of a quoted message
-_KEPT_MAX = 200  # names: a robot has many nodes, and a broken one could invent more
-
-
-class DriverDiagnostics:
-    """The latest report of each node on /diagnostics, unless OK.
-
-    Args:
-        node: that subscribes.
-        lock: held by callbacks; hold it while calling `of_publisher`.
-    """
-
-    def __init__(self, node: Node, lock: threading.Condition) -> None:
-        self._node = node
-        self._lock = lock
-        self._problems: dict[str, str] = {}
-        self._subscription = node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
-
-    def close(self) -> None:
-        """Unsubscribe."""
-        self._node.destroy_subscription(self._subscription)
-
-    def of_publisher(self, topic: str) -> str:
-        """Return the publisher of a topic and its problem, as "NODE: PART reports: MESSAGE", or ''."""
-        for end in self._node.get_publishers_info_by_topic(topic):
-            name = f"{end.node_namespace.rstrip('/')}/{end.node_name}".lstrip("/")
-            for reporter, message in self._problems.items():
-                if reporter == name or reporter.startswith(f"{name}:"):
-                    return f"{reporter} reports: {message[:_QUOTED_MAX]}"
-        return ""
-
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        with self._lock:
-            for status in message.status:
-                name = status.name.lstrip("/")
-                self._problems.pop(name, None)
-                if status.level != DiagnosticStatus.OK and status.message and len(self._problems) < _KEPT_MAX:
-                    self._problems[name] = status.message
+_TIMEOUT = 2.0  # s, search time of a request without its own
 
 
 SILENT = 1.0
@@ -111,14 +72,14 @@ class Shot:
     depth: Image
     info: CameraInfo
 
-    def image(self, depth_unit: float) -> RgbdImage:
-        """Return the decoded image, its 16-bit depth in units of `depth_unit` (m).
+    def image(self) -> RgbdImage:
+        """Return the decoded image.
 
         Raises:
             ImageError: an encoding is unknown, or the images do not match.
             CameraInfoError: the camera is not calibrated.
         """
-        return rgbd_of(self.color, self.depth, self.info, depth_unit, CAMERA_INFO)
+        return rgbd_of(self.color, self.depth, self.info)
 
 
 class Camera:
@@ -126,21 +87,18 @@ class Camera:
 
     Args:
         node: that subscribes.
-        tolerance: largest difference between the stamps of colour and depth, s.
         topics: names of colour, depth and calibration.
 
     Attributes:
         names: of the topics, resolved.
     """
 
-    def __init__(self, node: Node, tolerance: float, topics: Sequence[str] = (COLOR, DEPTH, CAMERA_INFO)) -> None:
+    def __init__(self, node: Node, topics: Sequence[str]) -> None:
         self._node = node
-        self._matcher: StampMatcher[Image, Image] = StampMatcher(round(1e9 * tolerance))
-        self._tolerance = tolerance
+        self._matcher: StampMatcher[Image, Image] = StampMatcher(STAMP_TOLERANCE)
         self._news = threading.Condition()
         self._watchers = 0
         self._subscriptions: list[Any] = []
-        self._driver: DriverDiagnostics | None = None
         self._since = math.inf
         self._heard: dict[str, float] = {}
         self._matched = -math.inf
@@ -203,12 +161,10 @@ class Camera:
             now, since = time.monotonic(), self._since
             silent = [name for name in self.names if now - self._heard.get(name, since) > SILENT]
             unmatched = now - max(self._matched, since) > SILENT
-            driver = self._driver.of_publisher(silent[0]) if silent and self._driver else ""
         if silent:
-            why = driver or "check the camera, its cable and its driver"
-            return f"no images on {', '.join(silent)}: {why}"
+            return f"no images on {', '.join(silent)}: check the camera, its cable and its driver's messages"
         if unmatched:
-            limit = f"stamp_tolerance, {1e3 * self._tolerance:g} ms"
+            limit = f"{1e-6 * STAMP_TOLERANCE:g} ms"
             return f"the stamps of colour and depth differ by more than {limit}: let the driver synchronise them"
         return ""
 
@@ -220,7 +176,6 @@ class Camera:
             self._subscriptions.append(
                 self._node.create_subscription(kind, name, self._listener(name, take), qos_profile_sensor_data)
             )
-        self._driver = DriverDiagnostics(self._node, self._news)
 
     def _listener(self, name: str, take: Callable[[Any], None]) -> Callable[[Any], None]:
         def on_message(message: Any) -> None:
@@ -235,9 +190,6 @@ class Camera:
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
         self._subscriptions = []
-        if self._driver is not None:
-            self._driver.close()
-            self._driver = None
         self._since = math.inf
         self._heard.clear()
         self._info = None
@@ -284,14 +236,13 @@ class ElectrodeDetectorNode(Node):
         terminal = declare_all(self, Terminal)
         reject_unknown(self)
         self._given = given
-        topics = [given.color_topic, given.depth_topic, given.camera_info_topic]
+        topics = [given.color_topic, given.depth_topic, info_topic(given.color_topic)]
         self._charger_base = transforms.named(CHARGER_BASE)
         self._tf = _tf(self, given, transforms) if given.mount_from_tf else None
         self._transform_timeout = transforms.transform_timeout
-        self._deviations = given.mount_position_stddev, given.mount_rotation_stddev
         self._mount = _mount(self, given)
-        self._detector = ElectrodeDetector(terminal, given.depth_range_min, given.depth_bias)
-        self._camera = Camera(self, given.stamp_tolerance, topics)
+        self._detector = ElectrodeDetector(terminal, given.depth_range_min)
+        self._camera = Camera(self, topics)
         self._tally = _Tally()
         self._looking = threading.Lock()
         self._detections = self.create_publisher(ElectrodeDetection, "electrode_detection", 10)
@@ -307,7 +258,6 @@ class ElectrodeDetectorNode(Node):
         steady_timer(self, 1.0, self._diagnose)
         self._regularly = Regularly(self._watch, "detector")
         self._regularly.start(given.rate)
-        Tuning(self, given, self._take)
 
     def close(self) -> None:
         """Release waiting requests and stop the thread."""
@@ -316,25 +266,19 @@ class ElectrodeDetectorNode(Node):
             self._tf.close()
         self._regularly.stop()
 
-    def _take(self, given: DetectorNodeParameters) -> str:
-        """Use other parameters; pending requests keep their timeout."""
-        before, self._given = self._given, given
-        if given.rate != before.rate:
-            self._regularly.start(given.rate)
-        return ""
-
     def _on_detect(
         self, request: DetectElectrodes.Request, response: DetectElectrodes.Response
     ) -> DetectElectrodes.Response:
         unknown(response)
-        limit, usual = seconds(request.timeout), self._given.timeout
+        limit = seconds(request.timeout)
         if limit < 0.0:
-            response.message = f"timeout is {limit:g} s; give 0 for the default of {usual:g} s, or more"
+            response.message = f"timeout is {limit:g} s; give 0 for the default of {_TIMEOUT:g} s, or more"
             return response
         if self._missing:
             response.message = self._missing
             return response
-        deadline = time.monotonic() + (limit or usual)
+        limit = limit or _TIMEOUT
+        deadline = time.monotonic() + limit
         refusal, late, images, old, number = "", "", 0, 0, self._camera.shots
         with self._camera.watching():
             while not images or time.monotonic() < deadline:  # detection may be slower than the camera
@@ -351,7 +295,7 @@ class ElectrodeDetectorNode(Node):
             # The result of a fresh image is more useful than the age of a later one.
             refusal = refusal or late or self._camera.problem()
             refusal = refusal or "no image arrived in time; allow more than one image period"
-        response.message = f"{refusal} ({images} images in {limit or usual:.1f} s, {old} of them too old)"
+        response.message = f"{refusal} ({images} images in {limit:.1f} s, {old} of them too old)"
         return response
 
     def _age_problem(self, shot: Shot) -> str:
@@ -369,7 +313,7 @@ class ElectrodeDetectorNode(Node):
         with self._looking:
             started = time.perf_counter()
             try:
-                image = shot.image(self._given.depth_unit)
+                image = shot.image()
                 found = self._detector.detect(image)
             except VisionError as error:
                 return None, str(error)
@@ -403,7 +347,7 @@ class ElectrodeDetectorNode(Node):
             return self._mount
         timeout = max(0.0, min(self._transform_timeout, deadline - time.monotonic()))
         found = self._tf.lookup(self._charger_base, header.frame_id, header.stamp, timeout)
-        return Mount.from_numbers(found, *self._deviations)
+        return Mount.from_numbers(found)
 
     def _show(self, image: RgbdImage, found: Any, shot: Shot) -> None:
         if self._pictures.get_subscription_count():
@@ -434,8 +378,6 @@ class ElectrodeDetectorNode(Node):
     def _diagnose(self) -> None:
         if not self.context.ok():
             return
-        if self._missing:
-            self._missing = _missing_library()
         watched, problem = self._camera.watched, self._missing or self._camera.problem()
         took = quantity(self._tally.milliseconds, ".1f", "ms")
         values = {**vars(self._tally), "milliseconds": took, "images": self._camera.shots}
@@ -446,9 +388,8 @@ class ElectrodeDetectorNode(Node):
 
 def _mount(node: Node, given: DetectorNodeParameters) -> Mount:
     """Return the camera's mount."""
-    seven, deviations = given.mount, (given.mount_position_stddev, given.mount_rotation_stddev)
     try:
-        return Mount.load(given.mount_file) if given.mount_file else Mount.from_numbers(seven, *deviations)
+        return Mount.load(given.mount_file) if given.mount_file else Mount.default()
     except (OSError, MountError) as error:
         raise node_support.StartupError(f"{node.get_name()}: {error}") from error
 
@@ -458,7 +399,7 @@ def _tf(node: Node, given: DetectorNodeParameters, transforms: TransformParamete
     if given.mount_file:
         problem = "mount_from_tf and mount_file both define the camera's pose; give only one"
     elif not installed():
-        problem = "mount_from_tf needs tf2_ros, which is part of a ROS installation; give mount_file or mount"
+        problem = "mount_from_tf needs tf2_ros, which is part of a ROS installation; give mount_file"
     else:
         return TfTree(node, transforms)
     raise node_support.StartupError(f"{node.get_name()}: {problem}")

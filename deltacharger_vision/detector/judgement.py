@@ -316,16 +316,13 @@ class Judge:
         image: the original image.
         terminal: size of the bars.
         stereo_range: least distance (m) at which depth counts.
-        depth_bias: as of `ElectrodeDetector`.
     """
 
-    def __init__(
-        self, grey: NDArray[Any], image: RgbdImage, terminal: Terminal, stereo_range: float, depth_bias: float
-    ) -> None:
+    def __init__(self, grey: NDArray[Any], image: RgbdImage, terminal: Terminal, stereo_range: float) -> None:
         self._grey = grey
         self._image = image
         self._terminal = terminal
-        self._stereo_range, self._depth_bias = stereo_range, depth_bias
+        self._stereo_range = stereo_range
         self._corners = terminal.corners()
         self._focal = math.sqrt(image.intrinsics.fx * image.intrinsics.fy)
 
@@ -342,7 +339,7 @@ class Judge:
         if region.share < KNOWN_SHARE:
             # Even too little depth for a plane may show that nothing is there.
             return None if self._elsewhere(region, starts[0]) else self._by_image(pair, starts[0])
-        plane = fit_plane(region, self._depth_bias, np.random.default_rng(0))
+        plane = fit_plane(region, np.random.default_rng(0))
         if plane is None and is_noise(region) and not self._elsewhere(region, starts[0]):
             return self._by_image(pair, starts[0])
         both = None if plane is None else self._by_both(pair, starts[0], plane)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array, Mask
-from deltacharger_vision.images import Intrinsics, project, rays
+from deltacharger_vision.images import DEPTH_BIAS, Intrinsics, project, rays
 from deltacharger_vision.terminal import Terminal, TerminalPose
 
 _OUTWARD = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
@@ -326,7 +326,7 @@ def plate_region(
     return Region(ray[known], 1.0 / values[known], block[known].astype(np.int64), share)
 
 
-def fit_plane(region: Region, bias: float, random: np.random.Generator) -> Plane | None:
+def fit_plane(region: Region, random: np.random.Generator) -> Plane | None:
     """Return the plane that two thirds of the region's depth lie on, or None if there is none."""
     count = len(region.inverse)
     if count < FEWEST_DEPTHS or region.share < KNOWN_SHARE:
@@ -362,7 +362,7 @@ def fit_plane(region: Region, bias: float, random: np.random.Generator) -> Plane
     covariance *= _doubt(residual / max(scatter, narrowest))
     covariance += np.diag([_SLOPE, _SLOPE, _SHIFT]) ** 2
     covariance[:2, :2] += np.diag(_stairs(region, coefficients, math.sqrt(12.0) * rounded)) ** 2
-    return Plane(coefficients, np.linalg.inv(covariance), scatter, bias)
+    return Plane(coefficients, np.linalg.inv(covariance), scatter, DEPTH_BIAS)
 
 
 def is_noise(region: Region) -> bool:

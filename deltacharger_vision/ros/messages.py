@@ -17,11 +17,11 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
 from deltacharger_core.files import brief
-from deltacharger_vision import parameters as topics
 from deltacharger_vision.cameras.ros_formats import Readout, color_array, depth_array, from_camera_info
 from deltacharger_vision.errors import CameraInfoError, ImageError
-from deltacharger_vision.images import COLOR, DEPTH, INFO, MILLIMETRE, Intrinsics, RgbdImage
+from deltacharger_vision.images import COLOR, DEPTH, INFO, Intrinsics, RgbdImage
 from deltacharger_vision.mount import CAMERA_FRAME, FRAME, Placed, quaternion
+from deltacharger_vision.parameters import COLOR_TOPIC, DEPTH_TOPIC, info_topic
 
 
 def slash_hint(node: Node, *topics: str) -> str:
@@ -53,7 +53,6 @@ def rgbd_of(
     color: Image,
     depth: Image | None,
     camera: CameraInfo | Intrinsics,
-    depth_unit: float = MILLIMETRE,
     source: str = "camera_info",
 ) -> RgbdImage:
     """Convert two messages to one image, without depth if that is missing.
@@ -62,7 +61,6 @@ def rgbd_of(
         color: image.
         depth: of the same pixels.
         camera: calibration of the colour image.
-        depth_unit: of 16-bit depth, m.
         source: of the calibration, for errors.
 
     Raises:
@@ -83,7 +81,7 @@ def rgbd_of(
         camera = intrinsics_of(camera, source)
     pixels = color_array(color)
     metres = np.full(pixels.shape[:2], np.nan) if depth is None else depth_array(depth)
-    return RgbdImage.make(pixels, metres, camera, depth_unit)
+    return RgbdImage.make(pixels, metres, camera)
 
 
 def color_message(color: NDArray[np.uint8], stamp: Time, frame: str = CAMERA_FRAME) -> Image:
@@ -141,9 +139,9 @@ class CameraPublishers:
         self._clock = node.get_clock()
         self._context = node.context
         self._publishers = {
-            COLOR: node.create_publisher(Image, topics.COLOR, qos_profile_sensor_data),
-            DEPTH: node.create_publisher(Image, topics.DEPTH, qos_profile_sensor_data),
-            INFO: node.create_publisher(CameraInfo, topics.CAMERA_INFO, qos_profile_sensor_data),
+            COLOR: node.create_publisher(Image, COLOR_TOPIC, qos_profile_sensor_data),
+            DEPTH: node.create_publisher(Image, DEPTH_TOPIC, qos_profile_sensor_data),
+            INFO: node.create_publisher(CameraInfo, info_topic(COLOR_TOPIC), qos_profile_sensor_data),
         }
         self.published = 0
 

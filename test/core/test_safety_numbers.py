@@ -830,8 +830,8 @@ def shows(long: float, end: float, other_long: float, other_end: float, scatter:
     return supported(np.array(shares), fit) > 0.0  # type: ignore[arg-type]
 
 
-def mounts(x: float = 0.0, w: float = 1.0, sigma: float = 0.002) -> bool:
-    return passes(Mount.from_numbers, (x, 0.12, -0.12, 0.0, 0.0, 0.0, w), sigma)
+def mounts(x: float = 0.0, w: float = 1.0) -> bool:
+    return passes(Mount.from_numbers, (x, 0.12, -0.12, 0.0, 0.0, 0.0, w))
 
 
 CAMERA = (
@@ -842,7 +842,6 @@ CAMERA = (
     Limit("scatter, px", lambda v: shows(1.0, 1.0, 1.0, 1.0, v), 0.99, 1.01),
     *fields(mounts, 9.99, (10.01, -10.01, NAN, INF), "x"),
     *fields(mounts, 1.0009, (1.0011, 0.9989, NAN, INF), "w"),
-    *fields(mounts, 0.0, (-0.01, NAN, INF), "sigma"),
 )
 
 

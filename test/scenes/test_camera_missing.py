@@ -66,7 +66,7 @@ def test_a_charger_without_its_camera_docks_to_coordinates(
         await_error(why)
         outcome = charger.dock(DockRequest(None))
         assert outcome.error_name == "ELECTRODES_NOT_FOUND", outcome
-        assert why in outcome.error_message
+        assert "no images" in outcome.error_message or why in outcome.error_message
         charger.charge()
         if missing == "depthai":
             module.write_text(INSTALLED)

@@ -73,12 +73,12 @@ def test_ports_agree_with_the_udev_rules() -> None:
 
 def test_a_scene_can_name_the_topics_of_any_camera(context: Any, namespace: str) -> None:
     pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
-    own = {"color_topic": "/front/rgb/image", "depth_topic": "/front/depth/image", "camera_info_topic": "rgb/info"}
+    own = {"color_topic": "/front/rgb/image", "depth_topic": "/front/depth/image"}
     assert set(load_scene("rgbd").parameters["electrode_detector_node"]) == set(own)
     node = {"nodes": ["electrode_detector_node"], "parameters": {"electrode_detector_node": own}}
     with Composition(parse_scene(node, "mine"), context, namespace) as composition:
         names = composition.node("electrode_detector_node")._camera.names
-    assert names == ["/front/rgb/image", "/front/depth/image", f"/{namespace}/rgb/info"]
+    assert names == ["/front/rgb/image", "/front/depth/image", "/front/rgb/camera_info"]
 
 
 def test_the_level_target_is_at_the_pose_that_recording_assumes() -> None:

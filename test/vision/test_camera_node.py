@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import threading
 import time
 from collections.abc import Callable
@@ -25,8 +24,7 @@ from deltacharger_core.mcap_file import Raw
 from deltacharger_ros import qos
 from deltacharger_ros.node_support import StartupError
 from deltacharger_vision.cameras.camera_node import CameraNode, RecordingPlayer
-from deltacharger_vision.cameras.oak_pipeline import CameraUnavailable, OakImage, OakSettings
-from deltacharger_vision.cameras.recording import CameraRecording
+from deltacharger_vision.cameras.oak_pipeline import CameraUnavailable, OakImage
 from deltacharger_vision.cameras.ros_formats import color_array, depth_array, from_camera_info
 from deltacharger_vision.images import COLOR, DEPTH, INFO, Intrinsics, RgbdImage
 from deltacharger_vision.ros.messages import (
@@ -36,6 +34,7 @@ from deltacharger_vision.ros.messages import (
     depth_message,
     stamp_ns,
 )
+from deltacharger_vision.ros.recording import CameraRecording
 
 from ..chargers import Spin, wait_until
 from ..nodes import options
@@ -111,14 +110,11 @@ def test_an_absent_camera_is_reported_with_its_settings(start: Start, client: An
     statuses: list[DiagnosticStatus] = []
     client.create_subscription(DiagnosticArray, "/diagnostics", lambda each: statuses.extend(each.status), 10)
     wait_until(lambda: client.count_subscribers("/diagnostics"))
-    node = start(device_id="14442C10", width=320, rate=30.0)
+    start(device_id="14442C10")
     status = wait_until(
         lambda: next((each for each in list(statuses) if "no OAK camera found" in each.message), None), "the problem"
     )
     assert (status.level, status.hardware_id) == (DiagnosticStatus.ERROR, "14442C10")
-    for item in dataclasses.fields(OakSettings):
-        wanted = {"width": 320, "rate": 30.0, "device_id": "14442C10"}.get(item.name, item.default)
-        assert node.get_parameter(item.name).value == wanted
 
 
 @pytest.fixture(scope="module")
@@ -144,18 +140,16 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.parametrize("loop", [False, True])
-def test_a_replay_waits_for_a_subscriber_and_keeps_content_with_new_stamps(recording: Path, loop: bool) -> None:
+def test_a_replay_waits_for_a_subscriber_and_keeps_content_with_new_stamps(recording: Path) -> None:
     publishers: Any = mock.Mock(now=lambda: 5 * 10**18)
     publishers.wanted.return_value = False
-    player = RecordingPlayer(CameraRecording(recording), publishers, loop, lambda: None)
+    player = RecordingPlayer(CameraRecording(recording), publishers, lambda: None)
     player.start()
     wait_until(lambda: publishers.wanted.call_count > 1, "the player to look for subscribers")
     publishers.recorded.assert_not_called()
     publishers.wanted.return_value = True
-    wait_until(lambda: player.passes > loop and (loop or player.problem), "its end")
+    wait_until(lambda: publishers.recorded.call_count > 20, "a second pass")
     player.close()
-    assert ("ended" in player.problem) == (not loop)
     first = [each.args for each in publishers.recorded.call_args_list[:15]]
     assert [kind for kind, _, _ in first] == [INFO, COLOR, DEPTH] * 5
     for number, (info, color, depth) in enumerate(zip(*[iter(first)] * 3, strict=True)):

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from deltacharger_vision.detector.detector import ElectrodeDetector, annotated
 from deltacharger_vision.detector.observed import Plane, Region, fit_plane
 from deltacharger_vision.errors import CameraInfoError
-from deltacharger_vision.images import DEPTH_BIAS, Intrinsics, RgbdImage
+from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
 from deltacharger_vision.rendering.scene import Box, RenderedScene, shifted
@@ -389,7 +389,7 @@ def test_a_strap_across_both_bars_does_not_displace_ends(color: Any, x: float, p
 
 
 def fitted(ray: np.ndarray, inverse: np.ndarray, block: np.ndarray, random: np.random.Generator) -> Plane:
-    plane = fit_plane(Region(ray, inverse, block, 1.0), DEPTH_BIAS, random)
+    plane = fit_plane(Region(ray, inverse, block, 1.0), random)
     assert plane is not None
     return plane
 

@@ -19,12 +19,12 @@ from deltacharger_vision.cameras.oak_pipeline import (
     CameraUnavailable,
     OakCamera,
     OakImage,
-    OakSettings,
     converted,
     find_device,
 )
 from deltacharger_vision.errors import CameraInfoError, ImageError
 from deltacharger_vision.images import Intrinsics
+from deltacharger_vision.parameters import OakSettings
 
 from ..waiting import DEADLINE, wait_until
 
@@ -140,13 +140,13 @@ def test_the_camera_is_set_up_for_docking_sends_the_newest_images_and_reports_si
             go_on.wait(DEADLINE)
 
     began = time.monotonic()
-    camera = OakCamera(OakSettings(rate=50.0, exposure_us=7000, iso=200), wanted.is_set, take)
+    camera = OakCamera(OakSettings(rate=50.0, exposure_us=7000), wanted.is_set, take)
     try:
         assert camera.name == NAME
         color, left, right = bench.cameras
         sockets = depthai.CameraBoardSocket
         assert [each.build.call_args.args[0] for each in bench.cameras] == [sockets.CAM_A, sockets.CAM_B, sockets.CAM_C]
-        color.initialControl.setManualExposure.assert_called_once_with(7000, 200)
+        color.initialControl.setManualExposure.assert_called_once_with(7000, 400)
         color.initialControl.setManualFocus.assert_called_once_with(130)
         assert color.requestOutput.call_args.args == ((640, 400), depthai.ImgFrame.Type.RGB888i)
         assert color.requestOutput.call_args.kwargs == {"fps": 50.0, "enableUndistortion": True}

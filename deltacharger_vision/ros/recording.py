@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of an RGB-D camera in an MCAP file: its topics and their raw messages (CDR).
+"""Messages of an RGB-D camera in an MCAP file, decoded; colour and depth images are matched by their stamps.
 
-This module needs no ROS; callers with ROS decode the messages. It needs the package mcap, `deltacharger[record]`.
+It needs the package mcap, `deltacharger[record]`.
 """
 
 from __future__ import annotations
@@ -9,10 +9,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import CameraInfo, Image
 
 from deltacharger_core.mcap_file import McapFile, RecordingError
-from deltacharger_vision.images import COLOR, DEPTH, INFO
+from deltacharger_vision.images import COLOR, DEPTH, INFO, STAMP_TOLERANCE, RgbdImage, StampMatcher
+from deltacharger_vision.ros.messages import intrinsics_of, rgbd_of, stamp_ns
 
 IMAGE, CAMERA_INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
 _COMPRESSED = "sensor_msgs/msg/CompressedImage"
@@ -161,3 +165,75 @@ def _camera(topic: str) -> str:
 def _advice(topic: str) -> str:
     raw = topic.rpartition("/")[0]
     return f"{topic} holds compressed images; record {raw} instead, or republish it with image_transport"
+
+
+def decoded(recording: CameraRecording, each: Recorded) -> Any:
+    """Decode a recorded message.
+
+    Raises:
+        RecordingError: the data are not of its topic's type.
+    """
+    kind = CameraInfo if each.kind == INFO else Image
+    try:
+        return deserialize_message(each.data, kind)
+    except Exception as error:  # rclpy's own private classes
+        raise RecordingError(f"{recording.path}: holds a message that is no {kind.__name__}: {error}") from error
+
+
+@dataclass(frozen=True)
+class RecordedImage:
+    """One recorded image.
+
+    Attributes:
+        stamp: of the colour, ns.
+        color: sensor_msgs/Image.
+        depth: sensor_msgs/Image, or None.
+    """
+
+    stamp: int
+    color: Any
+    depth: Any
+
+    @property
+    def name(self) -> str:
+        """The stamp in s."""
+        return f"{self.stamp // 10**9}.{self.stamp % 10**9:09}"
+
+    def read(self, camera: Any) -> RgbdImage:
+        """Return it checked and converted, without depth if it has none; arguments and errors as of `rgbd_of`."""
+        return rgbd_of(self.color, self.depth, camera)
+
+
+def recorded_images(recording: CameraRecording) -> Iterator[RecordedImage]:
+    """Yield the colour images in order, each with its depth image; colour images without one are left out.
+
+    If the recording has no depth at all, every colour image is yielded without depth.
+
+    Raises:
+        RecordingError: the recording is damaged from this point on.
+    """
+    matcher: StampMatcher[Any, Any] = StampMatcher(STAMP_TOLERANCE)
+    for each in recording.messages(COLOR, DEPTH):
+        message = decoded(recording, each)
+        stamp = stamp_ns(message)
+        if not recording.topics.depth:
+            yield RecordedImage(stamp, message, None)
+            continue
+        pair = (matcher.add_color if each.kind == COLOR else matcher.add_depth)(stamp, message)
+        if pair is not None:
+            yield RecordedImage(*pair)
+
+
+def recorded_info(recording: CameraRecording) -> Any:
+    """Return the recording's first camera_info, or None.
+
+    Raises:
+        CameraInfoError: it is unusable.
+        RecordingError: the recording is damaged.
+    """
+    first = next(recording.messages(INFO), None) if recording.topics.info else None
+    if first is None:
+        return None
+    info = decoded(recording, first)
+    intrinsics_of(info, f"{recording.path}: {recording.topics.info}")
+    return info
