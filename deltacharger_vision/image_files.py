@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-import struct
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,11 +20,8 @@ CAMERA_INFO = "camera_info.yaml"
 """Name of the intrinsics' file in a folder of images."""
 PICTURES = (".png", ".jpg", ".jpeg")
 _DEPTHS = (".png", ".npy")
-_LARGEST, _LARGEST_DECODED = 64 * 2**20, 48 * 2**20  # bytes; the second allows 4096 × 4096 px of colour
-_PNG = b"\x89PNG\r\n\x1a\n"
-_JPEG_SIZES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # markers of the segments with the size
-_MOST_CHUNKS = 20_000  # libpng writes 8192 for a PNG of 64 MB; for a JPEG, segments and fill bytes count
-_SCAN, _MOST_SCANS = b"\xff\xda", 100  # every scan of a progressive JPEG decodes it again
+_LARGEST = 64 * 2**20  # bytes of a file
+_MOST_PIXELS = 4096 * 4096
 
 
 @dataclass(frozen=True)
@@ -54,6 +51,7 @@ def require_opencv() -> Any:
     Raises:
         ModuleNotFoundError: OpenCV is missing; states how to install it.
     """
+    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(_MOST_PIXELS))  # OpenCV reads it when it is loaded
     try:
         import cv2
     except ModuleNotFoundError as error:
@@ -88,7 +86,7 @@ def read_rgbd(color: Path, depth: Path | None, intrinsics: Intrinsics) -> RgbdIm
 
 
 def read_color(path: Path) -> NDArray[Any]:
-    """Return (H, W) gray, (H, W, 3) RGB or (H, W, 4) RGBA, uint8 or uint16, of a PNG or JPEG file.
+    """Return (H, W) gray, (H, W, 3) RGB or (H, W, 4) RGBA, of a PNG or JPEG file.
 
     A rotation flag of the file is ignored: intrinsics belong to the stored pixels.
 
@@ -127,43 +125,25 @@ def read_depth(path: Path) -> NDArray[Any]:
 
 
 def write_picture(path: Path, picture: NDArray[np.uint8]) -> None:
-    """Write (H, W, 3) RGB as PNG or JPEG, depending on the name's ending.
+    """Write (H, W, 3) RGB as PNG.
 
     Raises:
         OSError: the file cannot be written.
-        ImageError: the name has another ending.
     """
     cv2 = require_opencv()
-    check_picture_name(path)
-    _, data = cv2.imencode(path.suffix.lower(), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
-    path.write_bytes(data.tobytes())
-
-
-def check_picture_name(path: Path) -> None:
-    """Raise ImageError for a name with another ending."""
-    if path.suffix.lower() not in PICTURES:
-        raise ImageError(str(path), f"give a name that ends in {', '.join(PICTURES)}")
+    path.write_bytes(cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1].tobytes())
 
 
 def images_in(folder: Path) -> list[ImageFiles]:
-    """Return the images of a folder: NAME.color.png with NAME.depth.png, or color/NAME.png with depth/NAME.png.
-
-    Colour may also be .jpg or .jpeg, depth .npy. The second convention applies if there is a folder `color`.
+    """Return the images of a folder: NAME.color.png, .jpg or .jpeg, with NAME.depth.png or .npy.
 
     Raises:
         OSError: the folder cannot be read.
         ImageError: the folder has no such files, or one name twice.
     """
-    if (folder / COLOR).is_dir():
-        colors = _named(folder / COLOR, "", PICTURES)
-        depths = _named(folder / DEPTH, "", _DEPTHS) if (folder / DEPTH).is_dir() else {}
-    else:
-        colors, depths = _named(folder, f".{COLOR}", PICTURES), _named(folder, f".{DEPTH}", _DEPTHS)
+    colors, depths = _named(folder, f".{COLOR}", PICTURES), _named(folder, f".{DEPTH}", _DEPTHS)
     if not colors and not depths:
-        raise ImageError(
-            str(folder),
-            "holds no images; name them NAME.color.png and NAME.depth.png, or color/NAME.png and depth/NAME.png",
-        )
+        raise ImageError(str(folder), "holds no images; name them NAME.color.png and NAME.depth.png")
     return [ImageFiles(name, colors.get(name), depths.get(name)) for name in sorted(colors.keys() | depths.keys())]
 
 
@@ -187,49 +167,13 @@ def _decoded(path: Path) -> NDArray[Any]:
         data = read_bytes(path, _LARGEST)
     except FileRefused as error:
         raise ImageError(str(path), f"{error.strerror}; give PNG or JPEG") from error
-    if not data:
-        raise ImageError(str(path), "is empty; take the image again")
-    width, height, each = _claimed(data)
-    if width * height * each > _LARGEST_DECODED:
-        allowed = f"{_LARGEST_DECODED // 2**20} MB; give a smaller image"
-        raise ImageError(str(path), f"has {width} × {height} px of {each} bytes, and decodes to more than {allowed}")
     try:
-        pixels = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED) if each else None
+        pixels = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
         pixels = None
     if pixels is None:
-        raise ImageError(str(path), "is not an image, or damaged; give PNG or JPEG")
+        raise ImageError(str(path), "is not an image, damaged or too large; give PNG or JPEG")
     return np.asarray(pixels)
-
-
-def _claimed(data: bytes) -> tuple[int, int, int]:
-    """Return width, height and decoded bytes per pixel from the header of a PNG or JPEG; 0, 0, 0 for other data."""
-    if data.startswith(_PNG) and data[12:16] == b"IHDR" and _is_whole_png(data):
-        width, height, bits, colors = struct.unpack_from(">IIBB", data, 16)
-        return width, height, (1 if colors == 0 else 3 if colors == 2 else 4) * (2 if bits == 16 else 1)
-    at = 2 if data.startswith(b"\xff\xd8") and data.count(_SCAN) <= _MOST_SCANS else len(data)
-    for _ in range(_MOST_CHUNKS):
-        if at + 9 > len(data) or data[at] != 0xFF:
-            break
-        marker, length = data[at + 1], int.from_bytes(data[at + 2 : at + 4], "big")
-        if marker in _JPEG_SIZES:
-            height, width = struct.unpack_from(">HH", data, at + 5)
-            return width, height, 3
-        at += 1 if marker == 0xFF else 2 + length
-    return 0, 0, 0
-
-
-def _is_whole_png(data: bytes) -> bool:
-    """Whether each chunk ends within the file: OpenCV allocates the claimed size."""
-    at = len(_PNG)
-    for _ in range(_MOST_CHUNKS):
-        if at + 12 > len(data):
-            break
-        kind = data[at + 4 : at + 8]
-        at += 12 + int.from_bytes(data[at : at + 4], "big")
-        if kind == b"IEND":
-            return at <= len(data)
-    return False
 
 
 def _array(path: Path) -> NDArray[Any]:

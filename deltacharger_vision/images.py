@@ -10,7 +10,6 @@ x' = x radial + 2 p1 x y + p2 (r² + 2 x²), y' = y radial + p1 (r² + 2 y²) + 
 
 from __future__ import annotations
 
-import bisect
 import dataclasses
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
@@ -69,21 +68,21 @@ class Intrinsics:
     distortion: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("width", SMALLEST, LARGEST),
-            ("height", SMALLEST, LARGEST),
-            ("fx", *_FOCAL),
-            ("fy", *_FOCAL),
-        ):
-            self._check(name, low, high)
-        self._check("cx", -self.width, 2 * self.width)
-        self._check("cy", -self.height, 2 * self.height)
-        for name in ("width", "height"):
-            if int(getattr(self, name)) != getattr(self, name):
+        for name, (low, high) in {
+            "width": (SMALLEST, LARGEST),
+            "height": (SMALLEST, LARGEST),
+            "fx": _FOCAL,
+            "fy": _FOCAL,
+            "cx": (-self.width, 2 * self.width),
+            "cy": (-self.height, 2 * self.height),
+        }.items():
+            found = getattr(self, name)
+            if not _is_number(found) or not low <= found <= high:
                 raise CameraInfoError(
-                    "intrinsics", f"{name} = {brief(getattr(self, name))} is not a whole number of pixels"
+                    "intrinsics", f"{name} = {brief(found)} is outside {low:g}…{high:g} px; calibrate the camera again"
                 )
-            object.__setattr__(self, name, int(getattr(self, name)))
+        if not float(self.width).is_integer() or not float(self.height).is_integer():
+            raise CameraInfoError("intrinsics", f"{self.width} × {self.height} is no whole number of pixels")
         if len(self.distortion) not in (0, 5, 8):
             raise CameraInfoError(
                 "intrinsics",
@@ -92,14 +91,6 @@ class Intrinsics:
         for coefficient in self.distortion:
             if not _is_number(coefficient) or not abs(coefficient) <= _COEFFICIENT:
                 raise CameraInfoError("intrinsics", f"distortion coefficient {brief(coefficient)}; calibrate again")
-        object.__setattr__(self, "distortion", tuple(float(coefficient) for coefficient in self.distortion))
-
-    def _check(self, name: str, low: float, high: float) -> None:
-        found = getattr(self, name)
-        if not _is_number(found) or not low <= found <= high:
-            raise CameraInfoError(
-                "intrinsics", f"{name} = {brief(found)} is outside {low:g}…{high:g} px; calibrate the camera again"
-            )
 
     def matrix(self) -> Array:
         """Return (3, 3) px: maps a direction (x, y, 1) in the optical frame to an undistorted pixel (u, v, 1)."""
@@ -196,9 +187,7 @@ def _size(array: NDArray[Any]) -> str:
 
 
 def rgb8(array: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return (H, W, 3) RGB of (H, W) or (H, W, 1) gray, (H, W, 3) RGB or (H, W, 4) RGBA, uint8 or uint16.
-
-    Sensors of 10, 12 and 14 bits store their levels unchanged in uint16, so its brightest level tells the range.
+    """Return (H, W, 3) RGB of (H, W) or (H, W, 1) gray, (H, W, 3) RGB or (H, W, 4) RGBA, uint8.
 
     Raises:
         ImageError: another shape or type.
@@ -207,11 +196,8 @@ def rgb8(array: NDArray[Any]) -> NDArray[np.uint8]:
         array = array[:, :, 0]
     if not array.size or not (array.ndim == 2 or (array.ndim == 3 and array.shape[2] in (3, 4))):
         raise ImageError("color", f"shape {array.shape}; must be (H, W) gray, (H, W, 3) RGB or (H, W, 4) RGBA")
-    if array.dtype == np.uint16:
-        bits = next(bits for bits in (10, 12, 14, 16) if int(array.max()) < 1 << bits)
-        array = (array >> (bits - 8)).astype(np.uint8)
     if array.dtype != np.uint8:
-        raise ImageError("color", f"type {array.dtype}; must be uint8 or uint16")
+        raise ImageError("color", f"type {array.dtype}; must be 8 bits per colour")
     if array.ndim == 2:
         return np.repeat(array[:, :, None], 3, axis=2)
     return np.ascontiguousarray(array[:, :, :3])
@@ -321,112 +307,46 @@ def _distorted(points: Array, distortion: tuple[float, ...]) -> tuple[Array, Arr
     return seen, np.stack([a, b, c, a * c - b * b], axis=-1)
 
 
-Color = TypeVar("Color")
-Depth = TypeVar("Depth")
 Item = TypeVar("Item")
 
 _JUMP = 1_000_000_000
 """ns; networks do not reorder messages over so long: the clock was set back, or a recording restarted."""
+_WAITING = 8
+"""Most waiting images of each kind; the oldest is dropped."""
 
 
-class StampMatcher(Generic[Color, Depth]):
-    """Pairs each colour image with the nearest depth, as soon as both have arrived.
+class StampMatcher(Generic[Item]):
+    """Pairs each colour image with the depth of the same time, as soon as both have arrived.
 
-    An exact match has priority, then the nearest within the tolerance. Every item is returned at most once, in order:
-    items older than the last pair are dropped. If an item is more than 1 s older than an earlier one of its kind, the
-    clock was set back: waiting items from before are dropped, and the order restarts. Of several items with one stamp,
-    the first counts.
-
-    Args:
-        tolerance_ns: largest difference of stamps, 0 to 1 s; below half the image period, no nearer item can arrive
-            later.
-        depth: most waiting items of each kind; the oldest is dropped.
+    Every image is returned at most once, in order: those older than the last pair are dropped. If an image is more than
+    1 s older than an earlier one, the clock was set back, and the order restarts.
     """
 
-    def __init__(self, tolerance_ns: int, depth: int = 8) -> None:
-        self._tolerance = tolerance_ns
-        self._colors: _Waiting[Color] = _Waiting(depth)
-        self._depths: _Waiting[Depth] = _Waiting(depth)
-
-    def __len__(self) -> int:
-        """Return the number of waiting items."""
-        return len(self._colors.stamps) + len(self._depths.stamps)
-
-    def add_color(self, stamp_ns: int, item: Color) -> tuple[int, Color, Depth] | None:
-        """Add a colour image; return its stamp, the image and its depth if that has arrived."""
-        return self._matched(stamp_ns) if self._taken(self._colors, stamp_ns, item) else None
-
-    def add_depth(self, stamp_ns: int, item: Depth) -> tuple[int, Color, Depth] | None:
-        """Add a depth image; return its colour's stamp, the colour and the depth if the colour has arrived."""
-        return self._matched(stamp_ns) if self._taken(self._depths, stamp_ns, item) else None
-
-    def clear(self) -> None:
-        """Drop all items, for example after a pause."""
-        self._colors.clear()
-        self._depths.clear()
-
-    def _taken(self, stream: _Waiting[Item], stamp: int, item: Item) -> bool:
-        """Add an item and return whether it waits."""
-        if stream.newest is not None and stamp < stream.newest - _JUMP:
-            stream.newest = None
-            self._colors.forget_after(stamp + _JUMP)
-            self._depths.forget_after(stamp + _JUMP)
-        return stream.add(stamp, item)
-
-    def _matched(self, stamp: int) -> tuple[int, Color, Depth] | None:
-        """Return the pair with the item just added; no other pair can be new."""
-        color, depth = self._colors.nearest(stamp), self._depths.nearest(stamp)
-        if color is None or depth is None or abs(color - depth) > self._tolerance:
-            return None
-        return color, self._colors.take(color), self._depths.take(depth)
-
-
-class _Waiting(Generic[Item]):
-    """Items of one kind, by increasing stamp.
-
-    Attributes:
-        stamps: of the waiting items, ns.
-        newest: largest stamp since the clock was last set back.
-    """
-
-    def __init__(self, room: int) -> None:
-        self._room = room
+    def __init__(self) -> None:
         self.clear()
 
     def clear(self) -> None:
-        self.stamps: list[int] = []
-        self.newest: int | None = None
-        self._items: list[Item] = []
-        self._given: int | None = None
+        """Drop all images, for example after a pause."""
+        self._waiting: dict[str, dict[int, Item]] = {COLOR: {}, DEPTH: {}}
+        self._last = {COLOR: -_JUMP, DEPTH: -_JUMP}
 
-    def add(self, stamp: int, item: Item) -> bool:
-        """Add an item; False if it is a duplicate, not newer than the last pair, or older than all in a full queue."""
-        self.newest = stamp if self.newest is None else max(stamp, self.newest)
-        place = bisect.bisect_left(self.stamps, stamp)
-        if (self._given is not None and stamp <= self._given) or self.stamps[place : place + 1] == [stamp]:
-            return False
-        self.stamps.insert(place, stamp)
-        self._items.insert(place, item)
-        if len(self.stamps) <= self._room:
-            return True
-        del self.stamps[0], self._items[0]
-        return place > 0
-
-    def nearest(self, stamp: int) -> int | None:
-        """Return the stamp nearest to `stamp`, the older of two, or None if nothing waits."""
-        return min(self.stamps, key=lambda each: abs(each - stamp), default=None)
-
-    def take(self, stamp: int) -> Item:
-        """Return the waiting item of a stamp, and drop it with all older ones."""
-        place = self.stamps.index(stamp)
-        item = self._items[place]
-        del self.stamps[: place + 1], self._items[: place + 1]
-        self._given = stamp
-        return item
-
-    def forget_after(self, stamp: int) -> None:
-        """Drop items newer than `stamp`, from before the clock was set back."""
-        kept = bisect.bisect_right(self.stamps, stamp)
-        del self.stamps[kept:], self._items[kept:]
-        if self._given is not None and self._given > stamp:
-            self._given = None
+    def add_image(self, kind: str, stamp: int, image: Item) -> tuple[int, Item, Item] | None:
+        """Add an image of kind COLOR or DEPTH; return the stamp of the colour, colour and depth if both are there."""
+        mine, others = self._waiting[kind], self._waiting[DEPTH if kind == COLOR else COLOR]
+        if stamp < max(self._last[kind], *mine, -_JUMP) - _JUMP:
+            self.clear()
+            return self.add_image(kind, stamp, image)
+        if stamp <= self._last[kind]:
+            return None
+        mine.setdefault(stamp, image)
+        other = min(others, key=lambda each: abs(each - stamp), default=None)
+        if other is None or abs(other - stamp) > STAMP_TOLERANCE:
+            if len(mine) > _WAITING:
+                del mine[min(mine)]
+            return None
+        color, depth = (stamp, other) if kind == COLOR else (other, stamp)
+        pair = color, self._waiting[COLOR][color], self._waiting[DEPTH][depth]
+        for each, used in ((COLOR, color), (DEPTH, depth)):
+            self._last[each] = used
+            self._waiting[each] = {at: item for at, item in self._waiting[each].items() if at > used}
+        return pair

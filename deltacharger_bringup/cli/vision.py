@@ -27,7 +27,7 @@ from deltacharger_vision.mount import CAMERA_FRAME, FRAME, Mount, Placed
 from deltacharger_vision.ros.recording import CameraRecording, CameraTopics
 from deltacharger_vision.terminal import Detection, Terminal
 
-_TOPICS = ("color_topic", "depth_topic", "info_topic")
+_TOPICS = ("color_topic", "depth_topic")
 _PLACED = ("position", "roll", "normal", "covariance")
 _SEEN = (*_PLACED, "confidence", "range", "source")
 
@@ -35,7 +35,7 @@ _SEEN = (*_PLACED, "confidence", "range", "source")
 def add_detect(parser: argparse.ArgumentParser) -> None:
     """Add the options of `vision detect`."""
     add = parser.add_argument
-    text = "PNG or JPEG; folder of NAME.color.png and NAME.depth.png (or color/NAME.png and depth/NAME.png); recording"
+    text = "PNG or JPEG; folder of NAME.color.png and NAME.depth.png; recording"
     add("path", metavar="IMAGE|FOLDER|REC.mcap", help=text)
     text = "of one image: aligned depth, 16-bit mm or float m (default: none)"
     add("--depth", metavar="A.png|A.npy", help=text)
@@ -47,7 +47,6 @@ def add_detect(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument_group("of a recording").add_argument
     add("--color-topic", default="", metavar="NAME", help="(topic ending in color/image_raw)")
     add("--depth-topic", default="", metavar="NAME", help="(depth/image_raw of the same camera)")
-    add("--info-topic", default="", metavar="NAME", help="(camera_info beside the colour)")
 
 
 class _Readable(Protocol):
@@ -156,7 +155,7 @@ def _recorded(options: argparse.Namespace, path: Path) -> _Images:
     environment.prepare()
     from deltacharger_vision.ros.recording import recorded_images, recorded_info
 
-    recording = CameraRecording(path, CameraTopics(options.color_topic, options.depth_topic, options.info_topic))
+    recording = CameraRecording(path, CameraTopics(options.color_topic, options.depth_topic))
     topics = recording.topics
     given = None if options.camera_info is None else load_camera_info(options.camera_info)
     camera = given or recorded_info(recording)

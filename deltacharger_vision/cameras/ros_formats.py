@@ -134,7 +134,7 @@ def _numbers(source: str, name: str, found: Any) -> list[float]:
 
 
 def load_camera_info(path: str | Path) -> Intrinsics:
-    """Read a calibration YAML (`camera_calibration`, `camera_info_manager`, OpenCV) or an echoed CameraInfo.
+    """Read a calibration YAML (`camera_calibration`, `camera_info_manager`) or an echoed CameraInfo.
 
     Raises:
         FileNotFoundError: no such file.
@@ -147,19 +147,11 @@ def load_camera_info(path: str | Path) -> Intrinsics:
         raise CameraInfoError(source, f"{error.problem}; give the file of the camera's calibration") from error
     if not isinstance(found, dict):
         raise CameraInfoError(source, "holds no mapping; give the file of the camera's calibration")
-    coefficients = _data(_field(source, found, "distortion_coefficients", "d", "D"))
-    if (
-        "distortion_model" not in found
-        and isinstance(found.get("camera_matrix"), dict)
-        and "dt" in found["camera_matrix"]
-    ):
-        # OpenCV names no model; its first five coefficients are those of plumb_bob.
-        found["distortion_model"] = "plumb_bob" if len(coefficients) <= 5 else "rational_polynomial"
     return from_camera_info(
         _field(source, found, "image_width", "width"),
         _field(source, found, "image_height", "height"),
         _data(_field(source, found, "camera_matrix", "k", "K")),
-        coefficients,
+        _data(_field(source, found, "distortion_coefficients", "d", "D")),
         str(_field(source, found, "distortion_model") or ""),
         source,
         _readout(source, found),
@@ -190,32 +182,23 @@ def _readout(source: str, found: dict[str, Any]) -> Readout:
     return Readout(*fields)
 
 
-_RGB, _BGR, _RGBA, _BGRA = (0, 1, 2), (2, 1, 0), (0, 1, 2), (2, 1, 0)
-_COLORS: dict[str, tuple[type, int, tuple[int, ...]]] = {
-    "rgb8": (np.uint8, 3, _RGB),
-    "bgr8": (np.uint8, 3, _BGR),
-    "rgba8": (np.uint8, 4, _RGBA),
-    "bgra8": (np.uint8, 4, _BGRA),
-    "rgb16": (np.uint16, 3, _RGB),
-    "bgr16": (np.uint16, 3, _BGR),
-    "rgba16": (np.uint16, 4, _RGBA),
-    "bgra16": (np.uint16, 4, _BGRA),
-    "8uc3": (np.uint8, 3, _BGR),  # OpenCV's type names have no order; cv_bridge uses BGR
-    "8uc4": (np.uint8, 4, _BGRA),
-    "mono8": (np.uint8, 1, (0,)),
-    "8uc1": (np.uint8, 1, (0,)),
-    "mono16": (np.uint16, 1, (0,)),
-    "16uc1": (np.uint16, 1, (0,)),
+_COLORS: dict[str, tuple[int, tuple[int, ...]]] = {
+    "rgb8": (3, (0, 1, 2)),
+    "bgr8": (3, (2, 1, 0)),
+    "rgba8": (4, (0, 1, 2)),
+    "bgra8": (4, (2, 1, 0)),
+    "8uc3": (3, (2, 1, 0)),  # OpenCV's type names have no order; cv_bridge uses BGR
+    "mono8": (1, (0,)),
 }
-"""Colour encodings: type, channels, and the indices of red, green and blue."""
-_DEPTHS: dict[str, type] = {"16uc1": np.uint16, "mono16": np.uint16, "32fc1": np.float32, "64fc1": np.float64}
+"""Colour encodings: channels, and the indices of red, green and blue."""
+_DEPTHS: dict[str, type] = {"16uc1": np.uint16, "mono16": np.uint16, "32fc1": np.float32}
 _QUOTED = 40  # characters of an unknown encoding in errors
 _YUV = {"yuv422": 1, "uyvy": 1, "yuv422_yuy2": 0, "yuyv": 0}
 """Offset of the first luminance in each group of four bytes; the detector uses only luminance."""
 
 
 def color_array(image: Any) -> NDArray[Any]:
-    """Return (H, W, 3) RGB or (H, W) gray, uint8 or uint16, of a colour image.
+    """Return (H, W, 3) RGB or (H, W) gray, uint8, of a colour image.
 
     For YUV 4:2:2 images it returns the luminance.
 
@@ -230,9 +213,9 @@ def color_array(image: Any) -> NDArray[Any]:
         return np.ascontiguousarray(_rows("color", image, np.uint8, 2)[:, :, _YUV[name]])
     if name not in _COLORS:
         raise ImageError("color", f"encoding {image.encoding[:_QUOTED]!r}; {_advice(name)}")
-    kind, channels, order = _COLORS[name]
-    rows = _rows("color", image, kind, channels)
-    return rows[:, :, 0] if len(order) == 1 else rows[:, :, list(order)] if order != _RGB else rows[:, :, :3]
+    channels, order = _COLORS[name]
+    rows = _rows("color", image, np.uint8, channels)
+    return rows[:, :, 0] if len(order) == 1 else np.ascontiguousarray(rows[:, :, order])
 
 
 def depth_array(image: Any) -> NDArray[Any]:

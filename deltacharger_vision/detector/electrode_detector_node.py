@@ -19,6 +19,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from deltacharger.msg import ElectrodeDetection
@@ -41,7 +42,7 @@ from deltacharger_ros.qos import SERVICE
 from deltacharger_ros.tuning import Regularly
 from deltacharger_vision.detector.detector import ElectrodeDetector, annotated
 from deltacharger_vision.errors import MountError, VisionError
-from deltacharger_vision.images import STAMP_TOLERANCE, RgbdImage, StampMatcher
+from deltacharger_vision.images import COLOR, DEPTH, STAMP_TOLERANCE, RgbdImage, StampMatcher
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.parameters import DetectorNodeParameters, info_topic
 from deltacharger_vision.ros.messages import color_message, detection_message, rgbd_of, slash_hint, stamp_ns
@@ -95,7 +96,7 @@ class Camera:
 
     def __init__(self, node: Node, topics: Sequence[str]) -> None:
         self._node = node
-        self._matcher: StampMatcher[Image, Image] = StampMatcher(STAMP_TOLERANCE)
+        self._matcher: StampMatcher[Image] = StampMatcher()
         self._news = threading.Condition()
         self._watchers = 0
         self._subscriptions: list[Any] = []
@@ -170,9 +171,12 @@ class Camera:
 
     def _open(self) -> None:
         self._since = time.monotonic()
-        kinds: tuple[Any, ...] = (Image, Image, CameraInfo)
-        takers = (self._on_color, self._on_depth, self._on_info)
-        for name, kind, take in zip(self.names, kinds, takers, strict=True):
+        takers: tuple[tuple[Any, Callable[[Any], None]], ...] = (
+            (Image, partial(self._on_image, COLOR)),
+            (Image, partial(self._on_image, DEPTH)),
+            (CameraInfo, self._on_info),
+        )
+        for name, (kind, take) in zip(self.names, takers, strict=True):
             self._subscriptions.append(
                 self._node.create_subscription(kind, name, self._listener(name, take), qos_profile_sensor_data)
             )
@@ -195,16 +199,11 @@ class Camera:
         self._info = None
         self._matcher.clear()
 
-    def _on_color(self, message: Image) -> None:
-        self._take(self._matcher.add_color(stamp_ns(message), message))
-
-    def _on_depth(self, message: Image) -> None:
-        self._take(self._matcher.add_depth(stamp_ns(message), message))
-
     def _on_info(self, message: CameraInfo) -> None:
         self._info = message
 
-    def _take(self, pair: tuple[int, Image, Image] | None) -> None:
+    def _on_image(self, kind: str, message: Image) -> None:
+        pair = self._matcher.add_image(kind, stamp_ns(message), message)
         if pair is None or self._info is None:
             return
         stamp, color, depth = pair

@@ -15,14 +15,13 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CameraInfo, Image
 
 from deltacharger_core.mcap_file import McapFile, RecordingError
-from deltacharger_vision.images import COLOR, DEPTH, INFO, STAMP_TOLERANCE, RgbdImage, StampMatcher
+from deltacharger_vision.images import COLOR, DEPTH, INFO, RgbdImage, StampMatcher
+from deltacharger_vision.parameters import info_topic
 from deltacharger_vision.ros.messages import intrinsics_of, rgbd_of, stamp_ns
 
 IMAGE, CAMERA_INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
-_COMPRESSED = "sensor_msgs/msg/CompressedImage"
-_COLOR_NAME = "color/image_raw"
-_DEPTH_NAMES = ("depth/image_raw", "aligned_depth_to_color/image_raw")
-_INFO_NAME = "camera_info"
+_COLOR_NAME = "/color/image_raw"
+_DEPTH_NAMES = ("/depth/image_raw", "/aligned_depth_to_color/image_raw")
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,7 @@ class CameraTopics:
     Attributes:
         color: sensor_msgs/Image.
         depth: sensor_msgs/Image, aligned to colour.
-        info: sensor_msgs/CameraInfo of the colour image.
+        info: sensor_msgs/CameraInfo, camera_info beside the colour.
     """
 
     color: str = ""
@@ -76,7 +75,7 @@ class CameraRecording:
     def __init__(self, path: Path, asked: CameraTopics | None = None) -> None:
         self._file = McapFile(path)
         self.path = path = self._file.path
-        self.topics = _Topics(path, self._file.types).choose(asked or CameraTopics())
+        self.topics = _chosen(path, self._file.types, asked or CameraTopics())
         self.images = self._file.counts[self.topics.color]
 
     def messages(self, *kinds: str) -> Iterator[Recorded]:
@@ -91,80 +90,34 @@ class CameraRecording:
             yield Recorded(named[each.topic], each.received, each.data)
 
 
-class _Topics:
-    """The topics of a recording.
-
-    Args:
-        path: of the recording, for errors.
-        types: type of each topic.
-    """
-
-    def __init__(self, path: Path, types: Mapping[str, str]) -> None:
-        self._path = path
-        self._types = types
-
-    def choose(self, asked: CameraTopics) -> CameraTopics:
-        """Return the camera's topics; raises RecordingError if they are ambiguous."""
-        color = self._held(asked.color, IMAGE) if asked.color else self._color()
-        depth = self._held(asked.depth, IMAGE) if asked.depth else self._depth(color)
-        info = self._held(asked.info, CAMERA_INFO) if asked.info else self._beside(color, _INFO_NAME)
-        return CameraTopics(color, depth, info)
-
-    def _color(self) -> str:
-        images = self._of(IMAGE)
-        found = [topic for topic in images if _ends(topic, _COLOR_NAME)]
-        if len(found) == 1:
-            return found[0]
-        compressed = [topic for topic in self._of(_COMPRESSED) if not images or f"/{_COLOR_NAME}/" in topic]
-        held = ", ".join(found or images or sorted(self._types)) or "nothing"
-        if found:
-            problem = f"several topics end in {_COLOR_NAME}; name one of {held}"
-        elif compressed:
-            problem = _advice(compressed[0])
-        elif images:
-            problem = f"no topic ends in {_COLOR_NAME}; name one of {held}"
-        else:
-            problem = f"holds no images, only {held}"
-        raise RecordingError(f"{self._path}: {problem}")
-
-    def _depth(self, color: str) -> str:
-        found = [topic for topic in self._of(IMAGE) if topic != color and any(_ends(topic, e) for e in _DEPTH_NAMES)]
-        beside = [topic for topic in found if _ends(color, _COLOR_NAME) and _camera(topic) == _camera(color)]
-        if len(beside or found) > 1:
-            raise RecordingError(f"{self._path}: several depth topics; name one of {', '.join(beside or found)}")
-        return (beside or found or [""])[0]
-
-    def _beside(self, color: str, name: str) -> str:
-        topic = f"{color.rpartition('/')[0]}/{name}"
-        return topic if self._types.get(topic) == CAMERA_INFO else ""
-
-    def _held(self, name: str, kind: str) -> str:
-        topic = f"/{name.lstrip('/')}"
-        held = self._types.get(topic)
-        if held == kind:
-            return topic
-        if held == _COMPRESSED:
-            raise RecordingError(f"{self._path}: {_advice(topic)}")
-        if held is not None:
-            raise RecordingError(f"{self._path}: {topic} has type {held or 'unknown'}; it must be {kind}")
-        raise RecordingError(f"{self._path}: no topic {topic}; the file has {', '.join(sorted(self._types))}")
-
-    def _of(self, kind: str) -> list[str]:
-        return sorted(topic for topic, held in self._types.items() if held == kind)
+def _chosen(path: Path, types: Mapping[str, str], asked: CameraTopics) -> CameraTopics:
+    """Return the camera's topics; raises RecordingError if they are missing or ambiguous."""
+    color = asked.color and _held(path, types, asked.color, IMAGE)
+    if not color:
+        found = sorted(topic for topic, kind in types.items() if kind == IMAGE and topic.endswith(_COLOR_NAME))
+        if len(found) != 1:
+            held = ", ".join(found or sorted(types)) or "nothing"
+            raise RecordingError(f"{path}: {len(found)} topics of raw images end in {_COLOR_NAME}; name one of {held}")
+        color = found[0]
+    camera = color.removesuffix(_COLOR_NAME)
+    depths = [camera + name for name in _DEPTH_NAMES if types.get(camera + name) == IMAGE]
+    if not asked.depth and len(depths) > 1:
+        raise RecordingError(f"{path}: several depth topics; name one of {', '.join(depths)}")
+    info = info_topic(color)
+    return CameraTopics(
+        color,
+        _held(path, types, asked.depth, IMAGE) if asked.depth else "".join(depths),
+        info if types.get(info) == CAMERA_INFO else "",
+    )
 
 
-def _ends(topic: str, name: str) -> bool:
-    return topic.endswith(f"/{name}")
-
-
-def _camera(topic: str) -> str:
-    """Return a topic without its last two names: the namespace that a camera's topics share."""
-    return topic.rsplit("/", 2)[0]
-
-
-def _advice(topic: str) -> str:
-    raw = topic.rpartition("/")[0]
-    return f"{topic} holds compressed images; record {raw} instead, or republish it with image_transport"
+def _held(path: Path, types: Mapping[str, str], name: str, kind: str) -> str:
+    topic = f"/{name.lstrip('/')}"
+    if topic not in types:
+        raise RecordingError(f"{path}: no topic {topic}; the file has {', '.join(sorted(types))}")
+    if types[topic] != kind:
+        raise RecordingError(f"{path}: {topic} has type {types[topic] or 'unknown'}; it must be {kind}")
+    return topic
 
 
 def decoded(recording: CameraRecording, each: Recorded) -> Any:
@@ -212,14 +165,14 @@ def recorded_images(recording: CameraRecording) -> Iterator[RecordedImage]:
     Raises:
         RecordingError: the recording is damaged from this point on.
     """
-    matcher: StampMatcher[Any, Any] = StampMatcher(STAMP_TOLERANCE)
+    matcher: StampMatcher[Any] = StampMatcher()
     for each in recording.messages(COLOR, DEPTH):
         message = decoded(recording, each)
         stamp = stamp_ns(message)
         if not recording.topics.depth:
             yield RecordedImage(stamp, message, None)
             continue
-        pair = (matcher.add_color if each.kind == COLOR else matcher.add_depth)(stamp, message)
+        pair = matcher.add_image(each.kind, stamp, message)
         if pair is not None:
             yield RecordedImage(*pair)
 

@@ -176,18 +176,16 @@ def test_broken_images_do_not_stop_a_folder(files: Path, tmp_path: Path, capsys:
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["a.png", "alone.png", "b.png"]
 
 
-def test_a_folder_of_folders_and_its_exit_codes(files: Path, tmp_path: Path, capsys: Capture) -> None:
-    for folder in ("color", "depth"):
-        (tmp_path / folder).mkdir()
-    shutil.copy(files / "b.png", tmp_path / "color" / "7.png")
-    shutil.copy(files / "b.npy", tmp_path / "depth" / "7.npy")
+def test_the_exit_codes_of_a_folder(files: Path, tmp_path: Path, capsys: Capture) -> None:
+    shutil.copy(files / "b.png", tmp_path / "7.color.png")
+    shutil.copy(files / "b.npy", tmp_path / "7.depth.npy")
     words = (tmp_path, "--camera-info", files / "k.yaml")
     code, found = detect(capsys, *words)
     assert (code, found["found"], found["images"]) == (1, 0, 1)
-    (tmp_path / "color" / "7.png").write_bytes(b"broken")
+    (tmp_path / "7.color.png").write_bytes(b"broken")
     code, found = detect(capsys, *words)
     assert (code, found["broken"], found["detection_time"]) == (2, 1, {"median": None, "p95": None})
-    shutil.copy(files / "a.png", tmp_path / "color" / "8.png")
+    shutil.copy(files / "a.png", tmp_path / "8.color.png")
     code, text, _ = run(capsys, "vision", "detect", *words)
     assert (code, "8: x 10." in text, "1 of 2" in text) == (0, True, True)
 

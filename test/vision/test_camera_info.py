@@ -69,19 +69,12 @@ def test_no_missing_and_extra_coefficients_are_zero() -> None:
     [
         ("441.0, 0, 320.1, 0, 442.0, 199.2, 0, 0, 1", "0, 0, 0, 0, 0, 0, 0, 0, 0", "calibrate the camera first"),
         ("441.0, 0, 320.1", "441.0, 320.1", "has 8 numbers"),
-        ("441.0, 0, 320.1", "441.0, 2.5, 320.1", "row by row"),
-        ("441.0, 0, 320.1", ".nan, 0, 320.1", "fx"),
         ("441.0, 0, 320.1", "wide, 0, 320.1", "not a number"),
         ("plumb_bob", "equidistant", "equidistant"),
         ("plumb_bob", "none", "without a model"),
         ("0.003]", "0.003, 0.5]", "rational_polynomial|plumb_bob"),
-        ("-0.1,", ".inf,", "distortion"),
-        ("image_width: 640", "image_width: 0", "width"),
         ("image_width: 640\n", "", "image_width"),
-        ("distortion_model: plumb_bob\n", "", "distortion_model"),
         ("camera_name: oak", "binning_x: two", "roi or binning"),
-        ("camera_name: oak", "roi: 3", "mapping"),
-        ("camera_name: oak", "roi: {x_offset: 3}", "complete image"),
         ("camera_name: oak", "roi: {x_offset: 10, y_offset: 5, width: 640, height: 400}", "complete image"),
     ],
 )
@@ -96,9 +89,6 @@ def test_errors_of_a_bad_file_state_what_to_do(tmp_path: Path, old: str, new: st
     ("readout", "seen"),
     [
         (Readout(), Intrinsics(640, 400, 441.0, 442.0, 320.1, 199.2)),
-        (Readout(0, 0, 640, 400, 1, 1), Intrinsics(640, 400, 441.0, 442.0, 320.1, 199.2)),
-        (Readout(10, 20, 620, 360), Intrinsics(620, 360, 441.0, 442.0, 310.1, 179.2)),
-        (Readout(binning_x=2, binning_y=2), Intrinsics(320, 200, 220.5, 221.0, 159.8, 99.35)),
         (Readout(10, 20, 621, 361, 2, 2), Intrinsics(310, 180, 220.5, 221.0, 154.8, 89.35)),
     ],
 )
@@ -108,13 +98,7 @@ def test_region_and_binning_give_the_intrinsics_of_the_image_that_is_sent(readou
     assert vars(found) == wanted
 
 
-def test_a_calibration_of_opencv_is_read(tmp_path: Path) -> None:
-    text = CALIBRATION.replace("distortion_model: plumb_bob\n", "").replace("data:", "dt: d, data:")
-    text = "%YAML:1.0\n---\n" + text.replace("_matrix: {", "_matrix: !!opencv-matrix {")
-    assert load(tmp_path, text) == EXPECTED
-
-
-@pytest.mark.parametrize("k", [None, 4, [True] * 9, K[:8]])
+@pytest.mark.parametrize("k", [None, [True] * 9, K[:8]])
 def test_a_message_with_another_matrix_is_refused(k: Any) -> None:
     with pytest.raises(CameraInfoError, match="camera matrix"):
         from_camera_info(640, 400, k, [], "none")
@@ -147,12 +131,8 @@ def test_colour_is_converted_to_rgb(encoding: str, order: list[int], padding: in
 
 @pytest.mark.parametrize(("big", "kind"), [(False, "<u2"), (True, ">u2")])
 def test_sixteen_bits_are_read_in_either_byte_order(big: bool, kind: str) -> None:
-    wide = RGB.astype(np.uint16) * 256 + 3
-    found = color_array(image("rgb16", 18, 21, *packed(wide.astype(kind)), big))
-    assert found.dtype == np.uint16
-    assert np.array_equal(found, wide)
-    depth = image("16UC1", 18, 21, *packed(wide[:, :, 0].astype(kind), 4), big)
-    assert np.array_equal(depth_array(depth), wide[:, :, 0])
+    wide = RGB[:, :, 0].astype(np.uint16) * 256 + 3
+    assert np.array_equal(depth_array(image("16UC1", 18, 21, *packed(wide.astype(kind), 4), big)), wide)
 
 
 def test_gray_yuv_and_metres_keep_their_values() -> None:
@@ -167,16 +147,12 @@ def test_gray_yuv_and_metres_keep_their_values() -> None:
     ("read", "encoding", "height", "step", "size", "noun"),
     [
         (color_array, "bayer_rggb8", 18, 63, 18 * 63, "raw"),
-        (color_array, "jpeg", 18, 63, 18 * 63, "compressed"),
-        (color_array, "32FC3", 18, 63, 18 * 63, "one of"),
         (depth_array, "rgb8", 18, 63, 18 * 63, "16UC1"),
         (color_array, "rgb8", 18, 62, 18 * 63, "color"),
         (color_array, "rgb8", 18, 63, 900, "color"),
-        (color_array, "rgb8", 0, 63, 0, "color"),
         (color_array, "x" * 1_000_000, 18, 63, 18 * 63, "color"),
-        (depth_array, "x" * 1_000_000, 18, 63, 18 * 63, "depth"),
     ],
-    ids=range(9),
+    ids=range(5),
 )
 def test_another_encoding_and_contradictory_fields_are_refused(
     read: Any, encoding: str, height: int, step: int, size: int, noun: str

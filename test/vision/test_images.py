@@ -25,16 +25,14 @@ DEPTH = np.full((40, 64), 0.3, dtype=np.float32)
 
 
 def test_every_kind_of_colour_becomes_the_same_rgb() -> None:
-    gray = COLOR[:, :, 0]
-    alpha = np.full((40, 64, 1), 7, dtype=np.uint8)
-    for given in (COLOR, np.concatenate([COLOR, alpha], axis=2), COLOR.astype(np.uint16) * 257):
+    gray, alpha = COLOR[:, :, 0], np.full((40, 64, 1), 7, dtype=np.uint8)
+    for given in (COLOR, np.concatenate([COLOR, alpha], axis=2)):
         np.testing.assert_array_equal(RgbdImage.make(given, DEPTH, CAMERA).color, COLOR)
-    levels = [gray.astype(np.uint16) << (bits - 8) for bits in (10, 12, 16)]
-    for given in (gray, gray[:, :, None], *levels):
+    for given in (gray, gray[:, :, None]):
         np.testing.assert_array_equal(RgbdImage.make(given, DEPTH, CAMERA).color, gray[:, :, None].repeat(3, axis=2))
 
 
-@pytest.mark.parametrize("unknown", [0.0, np.inf, -np.inf, np.nan])
+@pytest.mark.parametrize("unknown", [0.0, np.inf, np.nan])
 @pytest.mark.parametrize("kind", [np.float32, np.float64, np.uint16])
 def test_every_kind_of_depth_becomes_metres_with_nan(kind: type, unknown: float) -> None:
     given = np.full((40, 64), 300 if kind is np.uint16 else 0.3, dtype=kind)
@@ -51,18 +49,13 @@ def test_every_kind_of_depth_becomes_metres_with_nan(kind: type, unknown: float)
     [
         (COLOR, DEPTH[:, :50], "depth", "aligned"),
         (COLOR[:, :, :2], DEPTH, "color", "RGBA"),
-        (COLOR.astype(float), DEPTH, "color", "uint8"),
-        (COLOR.astype(np.int16), DEPTH, "color", "uint8"),
+        (COLOR.astype(np.uint16), DEPTH, "color", "8 bits"),
         (COLOR[:0], DEPTH[:0], "color", "shape"),
         (COLOR, DEPTH[:0], "depth", "shape"),
-        (COLOR, np.stack([DEPTH, DEPTH]), "depth", "shape"),
         (COLOR, DEPTH * 1000, "depth", "millimetres"),
         (COLOR, -DEPTH, "depth", "negative"),
         (COLOR, DEPTH.astype(np.int32), "depth", "uint16"),
-        (COLOR, DEPTH.astype(np.uint8), "depth", "uint16"),
         (COLOR[:, :60], DEPTH[:, :60], "intrinsics", "cuts or bins"),
-        (COLOR[:38, :60], DEPTH[:38, :60], "intrinsics", "cuts or bins"),
-        (COLOR[::2, ::2], DEPTH[::2, ::2], "intrinsics", "cuts or bins"),
         (COLOR[:8, :8], DEPTH[:8, :8], "color", "16"),
     ],
 )
@@ -70,12 +63,6 @@ def test_invalid_arrays_are_refused(color: Any, depth: Any, name: str, words: st
     with pytest.raises(ImageError, match=words) as caught:
         RgbdImage.make(color, depth, CAMERA)
     assert caught.value.source == name
-
-
-def test_depth_of_zero_is_unknown_and_the_input_is_not_changed() -> None:
-    depth = np.zeros((40, 64), np.float32)
-    assert np.isnan(RgbdImage.make(COLOR, depth, CAMERA).depth).all()
-    assert not depth.any()
 
 
 def test_a_scaled_or_binned_camera_shows_the_same_point_at_the_same_place() -> None:
@@ -89,9 +76,9 @@ def test_a_scaled_or_binned_camera_shows_the_same_point_at_the_same_place() -> N
 @pytest.mark.parametrize(
     "wrong",
     [
-        *({"fx": value} for value in (0.0, -44.0, math.nan, "44")),
-        *({"cx": value} for value in (math.inf, 1e4)),
-        *({"width": value} for value in (0, 64.5, 10**6, True)),
+        *({"fx": value} for value in (0.0, math.nan, "44")),
+        {"cx": 1e4},
+        *({"width": value} for value in (0, 64.5, True)),
         *({"distortion": value} for value in ((0.1, 0.2), (0.1, 0.0, 0.0, 0.0, math.nan), (1e9, 0.0, 0.0, 0.0, 0.0))),
     ],
     ids=str,
@@ -132,13 +119,10 @@ def stored(path: Path, pixels: np.ndarray) -> Path:
     return path
 
 
-@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
 @pytest.mark.parametrize("shape", [(40, 64), (40, 64, 3), (40, 64, 4)], ids=["gray", "rgb", "rgba"])
-def test_a_png_keeps_its_pixels_and_the_order_of_its_channels(tmp_path: Path, kind: type, shape: tuple[int]) -> None:
-    pixels = noise(kind, *shape)
-    found = read_color(stored(tmp_path / "a.png", pixels))
-    assert found.dtype == kind
-    np.testing.assert_array_equal(found, pixels)
+def test_a_png_keeps_its_pixels_and_the_order_of_its_channels(tmp_path: Path, shape: tuple[int]) -> None:
+    pixels = noise(np.uint8, *shape)
+    np.testing.assert_array_equal(read_color(stored(tmp_path / "a.png", pixels)), pixels)
 
 
 def test_the_rotation_flag_of_a_photograph_is_ignored(tmp_path: Path) -> None:
@@ -173,15 +157,10 @@ def test_depth_keeps_its_values_and_an_rgbd_image_has_metres_and_unknowns(tmp_pa
     [
         ("d.png", encoded(noise(np.uint8, 40, 64)), "8 bits"),
         ("d.png", encoded(noise(np.uint16, 40, 64, 3)), "3 × 16"),
-        ("d.png", encoded(noise(np.uint16, 20, 64)), "64 × 20"),
         ("d.npy", b"no array", "NPY"),
-        ("d.npy", [{}], "NPY"),
         ("d.npy", np.full((40, 64), 300.0), "metres"),
-        ("d.npy", np.full((40, 64), -0.3), "negative"),
-        ("d.npy", np.full((40, 64), 300), "int64"),
         ("a.png", b"\x89PNG\r\n", "image"),
         ("a.png", encoded(noise(np.uint8, 10, 64)), "10 px"),
-        ("a.png", encoded(noise(np.uint8, 64, 64)), "cuts or bins"),
     ],
 )
 def test_a_wrong_file_is_named(tmp_path: Path, name: str, content: Any, noun: str) -> None:
@@ -197,12 +176,8 @@ def test_a_wrong_file_is_named(tmp_path: Path, name: str, content: Any, noun: st
 
 def test_a_written_picture_reads_back_unchanged(tmp_path: Path) -> None:
     picture = noise(np.uint8, 40, 64, 3)
-    write_picture(tmp_path / "out.PNG", picture)
-    np.testing.assert_array_equal(read_color(tmp_path / "out.PNG"), picture)
-    with pytest.raises(ImageError, match=r"ends in \.png"):
-        write_picture(tmp_path / "out.gif", picture)
-    with pytest.raises(OSError, match="nowhere"):
-        write_picture(tmp_path / "nowhere" / "out.png", picture)
+    write_picture(tmp_path / "out.png", picture)
+    np.testing.assert_array_equal(read_color(tmp_path / "out.png"), picture)
 
 
 def touch(folder: Path, *names: str) -> Path:
@@ -212,24 +187,15 @@ def touch(folder: Path, *names: str) -> Path:
     return folder
 
 
-def test_both_conventions_pair_files_by_name(tmp_path: Path) -> None:
-    beside = touch(
-        tmp_path / "beside", "b.color.png", "b.depth.npy", "a.color.jpg", "a.depth.png", "c.color.JPEG", "d.depth.png",
-        "notes.txt", "e.png", "camera_info.yaml", "a.color.png.txt", "._a.color.png",
-    )  # fmt: skip
-    found = [(each.name, each.color and each.color.name, each.depth and each.depth.name) for each in images_in(beside)]
-    assert found == [
+def test_colour_and_depth_pair_by_name(tmp_path: Path) -> None:
+    names = "b.color.png b.depth.npy a.color.jpg a.depth.png c.color.JPEG d.depth.png e.png ._a.color.png"
+    found = images_in(touch(tmp_path, *names.split()))
+    assert [(each.name, each.color and each.color.name, each.depth and each.depth.name) for each in found] == [
         ("a", "a.color.jpg", "a.depth.png"),
         ("b", "b.color.png", "b.depth.npy"),
         ("c", "c.color.JPEG", None),
         ("d", None, "d.depth.png"),
     ]
-    folders = touch(tmp_path / "folders", "color/1.jpg", "depth/1.png", "color/2.png", "color/Thumbs.db")
-    assert [(each.name, each.color, each.depth) for each in images_in(folders)] == [
-        ("1", folders / "color/1.jpg", folders / "depth/1.png"),
-        ("2", folders / "color/2.png", None),
-    ]
-    assert len(images_in(touch(tmp_path / "bare", "color/1.jpg"))) == 1
 
 
 @pytest.mark.parametrize(
