@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger calibrate kinematics`: plan poses, measure them, or fit the geometry to them."""
+"""`deltacharger calibrate kinematics`: measure poses, or fit the geometry to them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deltacharger_bringup.cli.arguments import SEED, between, file_to_write, integer, namespace_option
+from deltacharger_bringup.cli.arguments import between, file_to_write, namespace_option
 from deltacharger_bringup.cli.charger import DISCOVERY, prepare, ros_context
 from deltacharger_bringup.cli.output import (
     DONE,
@@ -50,8 +50,6 @@ from deltacharger_kinematics.calibration.data import (
     PoseRecording,
     plan,
     read_measurements,
-    read_plan,
-    write_plan,
 )
 from deltacharger_kinematics.geometry import (
     LIMB_COUNT,
@@ -78,18 +76,6 @@ def refusing(path: str) -> contextlib.AbstractContextManager[None]:
     return wrong_input(CalibrationError, before=f"{path}: ", file=path)
 
 
-def encoder_of(options: argparse.Namespace) -> Encoder | None:
-    """Return the encoder that the options define; None if they define none.
-
-    Raises:
-        CommandError: a direction is not 1 or -1.
-    """
-    given = {"zero_ticks": options.zero_ticks, "direction": options.direction}
-    values = {name: tuple(value) for name, value in given.items() if value is not None}
-    with wrong_input(CalibrationError):
-        return Encoder(**values) if values else None
-
-
 def geometry_of(path: str | None) -> DeltaGeometry:
     """Return the arm's geometry from a file, or the built-in one.
 
@@ -106,48 +92,20 @@ def add_kinematics(parser: argparse.ArgumentParser) -> None:
     add("data", nargs="?", metavar="DATA.csv", help="measured poses, see docs/calibration.md")
     add("--out", metavar="FILE", help="write the fitted geometry, for the parameter geometry_file")
     add("--nominal", metavar="FILE", help="geometry to start from (default: the built-in one)")
-    add("--plan", metavar="FILE", help="write the poses to measure; with --measure, read them")
-    add("--measure", metavar="FILE", help="move to the poses of --plan, ask for and record positions")
+    add("--measure", metavar="FILE", help="move the running charger to 36 poses; ask for and record their positions")
     add("--force", action="store_true", help="overwrite files, and write a doubtful geometry")
     add = parser.add_argument_group("prior knowledge, as standard deviations").add_argument
     add("--measurement-mm", type=between(1e-6, 10.0), default=0.05, metavar="MM", help="of a coordinate (0.05)")
     add("--tolerance-mm", type=between(1e-6, 20.0), default=0.5, metavar="MM", help="of lengths (0.5)")
     add("--tolerance-deg", type=between(1e-6, 30.0), default=1.0, metavar="DEG", help="of angles (1)")
-    add = parser.add_argument_group("held-out rows, if the file has no column held_out").add_argument
-    add("--held-out", type=between(0.01, 0.9), default=0.25, metavar="SHARE", help="share of the rows (0.25)")
-    add("--seed", type=SEED, default=0, metavar="N", help="random seed (0)")
-    add = parser.add_argument_group("angle = direction · (ticks − zero_ticks) · 2π/4096, as in servo_node").add_argument
-    most = 1_048_575
-    text = "per limb (default: from the file, or 2048)"
-    add("--zero-ticks", type=integer(-most, most), nargs=3, metavar="N", help=text)
-    add("--direction", type=integer(-1, 1), nargs=3, metavar="N", help="per limb (1)")
     namespace_option(parser)
 
 
 def kinematics(options: argparse.Namespace) -> Result:
-    """Fit, plan or measure, according to the options."""
-    if options.measure is not None:
-        if options.plan is None or options.data is not None:
-            raise WrongInput("--measure FILE needs --plan FILE to read, and no DATA.csv")
-        return measure(options, geometry_of(options.nominal))
-    if options.plan is not None:
-        if options.data is not None or options.out is not None:
-            raise WrongInput("--plan FILE writes a plan; it takes neither DATA.csv nor --out")
-        return _plan(options)
-    if options.data is None:
-        raise WrongInput("give DATA.csv to fit, --plan FILE to write a plan, or both --plan and --measure")
-    return _fit(options)
-
-
-def _plan(options: argparse.Namespace) -> Result:
-    geometry = geometry_of(options.nominal)
-    file_to_write("--plan", options.plan, overwrite=options.force)
-    poses = plan(geometry, options.seed)
-    with refusing(options.plan):
-        write_plan(options.plan, poses, geometry, encoder_of(options) or Encoder())
-    kept = sum(pose.held_out for pose in poses)
-    text = f"wrote {options.plan}: {len(poses)} poses, {kept} of them held out to judge the fit"
-    return Result(text, {"written": options.plan, "poses": len(poses), "held_out": kept})
+    """Fit or measure, according to the options."""
+    if (options.data is None) == (options.measure is None):
+        raise WrongInput("give DATA.csv to fit, or --measure FILE to record it")
+    return _fit(options) if options.measure is None else measure(options, geometry_of(options.nominal))
 
 
 def _fit(options: argparse.Namespace) -> Result:
@@ -158,16 +116,24 @@ def _fit(options: argparse.Namespace) -> Result:
         options.measurement_mm * MILLIMETRE, options.tolerance_mm * MILLIMETRE, math.radians(options.tolerance_deg)
     )
     with refusing(options.data):
-        measurements = read_measurements(options.data, encoder_of(options))
-        found = calibrate(measurements, nominal, uncertainty, options.held_out, options.seed)
-    digest = sha256(options.data)
-    doubts = _doubts(found)
+        found = calibrate(read_measurements(options.data), nominal, uncertainty)
+    doubts, text = _doubts(found), _as_text(found)
 
     def save(path: str) -> None:
-        save_geometry(found.fit.geometry, path, _header(options, found, digest))
+        save_geometry(found.fit.geometry, path, _header(options, found, [*text.splitlines(), *doubts]))
 
-    value = {**_as_mapping(found, digest), "doubts": doubts}
-    return conclude(options, bool(doubts), save, _as_text(found), value, doubts)
+    before, after = found.held_out_rms
+    value = {
+        "rows": len(found.measurements),
+        "rms": {"before": rms(found.before), "after": rms(found.fit.residuals)},
+        "held_out": {"lines": _lines(found, np.flatnonzero(found.held_out)), "before": before, "after": after},
+        "expected": {"rms": found.expected[0], "largest": found.expected[1]},
+        "scatter": found.fit.scatter,
+        "outliers": _lines(found, np.flatnonzero(found.outliers)),
+        "geometry": geometry_to_mapping(found.fit.geometry),
+        "doubts": doubts,
+    }
+    return conclude(options, bool(doubts), save, text, value, doubts)
 
 
 def _doubts(found: GeometryCalibration) -> list[str]:
@@ -198,57 +164,19 @@ def _mm(value: float) -> str:
     return f"{value / MILLIMETRE:.3f}"
 
 
-def _header(options: argparse.Namespace, found: GeometryCalibration, digest: str) -> str:
-    """Return the comment with the origin of a geometry file."""
-    count, kept = len(found.measurements), int(found.held_out.sum())
-    before, after = found.held_out_rms
+def _header(options: argparse.Namespace, found: GeometryCalibration, lines: Sequence[str]) -> str:
+    """Return the comment with the origin of a geometry file: what was printed about it."""
     encoder = found.measurements.encoder
     mounted = f" with {', '.join(encoder.statement.replace('# ', '').splitlines())}" if encoder else ""
     return "\n".join(
         [
             "Geometry of one arm, fitted by `deltacharger calibrate kinematics`.",
             f"date: {datetime.datetime.now(datetime.timezone.utc):%Y-%m-%d %H:%M} UTC",
-            f"measurements: {Path(options.data).name}, SHA-256 {digest}",
-            f"nominal geometry: {Path(options.nominal).name if options.nominal else 'built-in'}",
-            f"{count} rows; rms error {_mm(rms(found.before))} mm before, {_mm(rms(found.fit.residuals))} mm after",
-            f"held out: {kept} of these rows; rms error there {_mm(before)} mm before, {_mm(after)} mm after a fit to "
-            f"the other {count - kept}; the geometry below is fitted to all rows",
-            f"stated: measurement {options.measurement_mm:g} mm, tolerances {options.tolerance_mm:g} mm and "
-            f"{options.tolerance_deg:g} deg",
+            f"measurements: {Path(options.data).name}, SHA-256 {sha256(options.data)}",
             f"angles as servo_node reports them{mounted}",
-            *(f"doubtful: {doubt}" for doubt in _doubts(found)),
+            *lines,
         ]
     )
-
-
-def _as_mapping(found: GeometryCalibration, digest: str) -> dict[str, Any]:
-    """Return everything in SI units."""
-    columns = (numbers(found.nominal), numbers(found.fit.geometry), found.standard_deviations)
-    before, after = found.held_out_rms
-    lengths = np.linalg.norm(found.fit.residuals, axis=1)
-    return {
-        "sha256": digest,
-        "rows": len(found.measurements),
-        "parameters": [
-            {
-                "limb": index // len(NAMES),
-                "name": NAMES[index % len(NAMES)],
-                "nominal": float(nominal),
-                "fitted": float(fitted),
-                "stddev": float(stddev),
-            }
-            for index, (nominal, fitted, stddev) in enumerate(zip(*columns, strict=True))
-        ],
-        "rms": {"before": rms(found.before), "after": rms(found.fit.residuals), "largest": float(lengths.max())},
-        "held_out": {"lines": _lines(found, np.flatnonzero(found.held_out)), "before": before, "after": after},
-        "expected": {"rms": found.expected[0], "largest": found.expected[1]},
-        "scatter": found.fit.scatter,
-        "singular_values": [float(value) for value in found.fit.singular_values],
-        "weakest": describe(found.fit.weakest),
-        "worst": [{"line": found.measurements.lines[row], "residual": float(lengths[row])} for row in _worst(found)],
-        "outliers": _lines(found, np.flatnonzero(found.outliers)),
-        "geometry": geometry_to_mapping(found.fit.geometry),
-    }
 
 
 def _as_text(found: GeometryCalibration) -> str:
@@ -325,9 +253,8 @@ class Answers:
 
 
 def measure(options: argparse.Namespace, geometry: DeltaGeometry) -> Result:
-    """Measure the poses of a plan with the running charger."""
-    with refusing(options.plan):
-        poses = read_plan(options.plan)
+    """Measure the planned poses with the running charger."""
+    poses = plan(geometry)
     prepare(options, look_around=True)
     counts = {"measured": 0, "skipped": 0}
     with Interrupts() as interrupts, ros_context() as context:
@@ -337,9 +264,8 @@ def measure(options: argparse.Namespace, geometry: DeltaGeometry) -> Result:
             with ArmClient(context, geometry, options.namespace, interrupts.event) as arm:
                 arm.wait_until_ready(DISCOVERY)
                 with refusing(options.measure):
-                    recording = PoseRecording(options.measure, _encoder(encoder_of(options), arm.encoder()))
+                    recording = PoseRecording(options.measure, arm.encoder() or Encoder())
                     left = [pose for pose in poses if pose.number not in recording.done]
-                    _announce(options.measure, poses, left)
                     complete = not left or _visit(arm, left, recording, counts)
         except ArmError as error:
             kept = f"; {options.measure} contains the measured poses" if counts["measured"] else ""
@@ -350,29 +276,10 @@ def measure(options: argparse.Namespace, geometry: DeltaGeometry) -> Result:
     return Result("", details, DONE if complete else FAILED, [remark])
 
 
-def _encoder(stated: Encoder | None, reported: Encoder | None) -> Encoder:
-    """Return the encoder: as servo_node reports it. The options must not differ from it."""
-    if reported is None:
-        used = stated or Encoder()
-        log_line(f"servo_node does not report zero_ticks and direction; using {used.zero_ticks} and {used.direction}")
-        return used
-    if stated is not None and stated != reported:
-        raise WrongInput(
-            f"servo_node has zero_ticks {reported.zero_ticks} and direction {reported.direction}: leave out "
-            "options that differ"
-        )
-    return reported
-
-
-def _announce(path: str, poses: Sequence[PlannedPose], left: Sequence[PlannedPose]) -> None:
-    if len(left) < len(poses):
-        log_line(f"{path} contains {len(poses) - len(left)} of {len(poses)} poses already; continuing with the others")
-    log_line("keep clear: the arm moves now, and after each answer")
-
-
 def _visit(arm: ArmClient, poses: Sequence[PlannedPose], recording: PoseRecording, counts: dict[str, int]) -> bool:
     """Move to the poses one by one and record the answers; return False if the input ended early."""
     answers = Answers()
+    log_line("keep clear: the arm moves now, and after each answer")
     arm.start()
     for number, pose in enumerate(poses, start=1):
         log_line(f"pose {pose.number}, {number} of {len(poses)}: going to {_place(pose.position)} mm")

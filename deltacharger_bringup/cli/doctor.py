@@ -80,7 +80,7 @@ def doctor(options: argparse.Namespace) -> Result:
             found += _start_emulators(hardware, stack)
             found += _examine_ports(hardware)
         found += checked("rclpy", probe.examine)
-        found += checked("camera", lambda: examine_camera(probe.images()))
+        found += checked("camera", lambda: examine_camera(probe.images))
     finally:
         probe.close()
     return _report(found, hardware)

@@ -47,7 +47,7 @@ COMMANDS: dict[str, Command] = {
     "calibrate": ("", "measure this charger's dimensions, servos, camera and pads"),
     "calibrate kinematics": (
         ".calibrate_kinematics.kinematics",
-        "plan and measure poses of the arm, and fit its geometry to them",
+        "measure poses of the arm, and fit its geometry to them",
     ),
     "calibrate servos": (
         ".calibrate_servos.servos",

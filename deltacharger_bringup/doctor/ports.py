@@ -79,14 +79,9 @@ def _other_ports() -> str:
 
 def _group_advice(path: str) -> str:
     try:
-        number = os.stat(path).st_gid
-        group = grp.getgrgid(number).gr_name
-        members = grp.getgrgid(number).gr_mem
+        group = grp.getgrgid(os.stat(path).st_gid).gr_name
     except (OSError, KeyError):
         return "add yourself to the group that owns the port, usually dialout, and log in again"
-    user = os.environ.get("USER", "")
-    if user in members and number not in os.getgroups():
-        return f"you were added to the group {group} after your last login: log out and in again"
     return f"sudo usermod -aG {group} $USER, then log in again; or {_RULES_ADVICE}"
 
 
@@ -103,15 +98,6 @@ def _improvements(part: str, path: str, target: str) -> Iterator[Finding]:
         yield hint(
             part, f"{path}: the number depends on the order of plugging in", f"{_RULES_ADVICE}, for a fixed name"
         )
-    if name.startswith("ttyACM") and "ModemManager" in {comm.strip() for comm in _commands()}:
-        yield hint(part, f"{path}: ModemManager may write to it after it is plugged in", _RULES_ADVICE)
-
-
-def _commands() -> Iterator[str]:
-    """Yield the names of the running programs."""
-    for process in Path("/proc").glob("[0-9]*"):
-        with contextlib.suppress(OSError):  # it has ended
-            yield (process / "comm").read_text(errors="replace")
 
 
 def examine_camera(publishers: int | None, devices: Path = Path("/sys/bus/usb/devices")) -> Iterator[Finding]:
@@ -140,9 +126,7 @@ def examine_camera(publishers: int | None, devices: Path = Path("/sys/bus/usb/de
 
 def _on_usb(devices: Path) -> bool:
     for vendor in devices.glob("*/idVendor"):
-        try:
+        with contextlib.suppress(OSError):  # it was unplugged
             if vendor.read_text().strip() == _MYRIAD:
                 return True
-        except OSError:
-            continue
     return False

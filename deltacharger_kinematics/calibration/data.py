@@ -24,8 +24,7 @@ import numpy as np
 from deltacharger_core.arrays import Array, Mask
 from deltacharger_core.files import FileRefused, append_text, read_bytes
 from deltacharger_core.machine import EXTENDED_TICKS, TICKS_PER_TURN
-from deltacharger_kinematics.delta import Delta
-from deltacharger_kinematics.geometry import DeltaGeometry, Status, Vector
+from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 
 Triple = tuple[int, int, int]
 
@@ -41,14 +40,9 @@ TICKS = tuple(f"ticks_{limb}" for limb in LIMBS)
 DEGREES = tuple(f"angle_{limb}_deg" for limb in LIMBS)
 RADIANS = tuple(f"angle_{limb}_rad" for limb in LIMBS)
 HELD_OUT = "held_out"
-PLAN_COLUMNS = (
-    "pose",
-    *(f"target_{axis}_mm" for axis in AXES),
-    *(f"command_{limb}_deg" for limb in LIMBS),
-    *(f"goal_ticks_{limb}" for limb in LIMBS),
-)
-"""Columns of a plan for the person or program that moves the arm; ignored as measurements."""
-KNOWN = (*(name for group in POSITION_COLUMNS for name in group), *TICKS, HELD_OUT, *PLAN_COLUMNS)
+POSE = "pose"
+"""Column with the number of a pose of --measure; ignored as measurement."""
+KNOWN = (*(name for group in POSITION_COLUMNS for name in group), *TICKS, HELD_OUT, POSE)
 
 LARGEST_FILE = 4 * 2**20
 """Maximum bytes of a file, far above any real measurement."""
@@ -275,12 +269,8 @@ class Measurements:
         )
 
 
-def read_measurements(path: str | Path, encoder: Encoder | None = None) -> Measurements:
-    """Read a file of measured poses.
-
-    Args:
-        path: file.
-        encoder: conversion of ticks to angles; None = as stated in the file, otherwise servo_node's defaults.
+def read_measurements(path: str | Path) -> Measurements:
+    """Read a file of measured poses; its ticks are converted as it states, otherwise by servo_node's defaults.
 
     Raises:
         OSError: the file cannot be read.
@@ -289,10 +279,10 @@ def read_measurements(path: str | Path, encoder: Encoder | None = None) -> Measu
     table = read_table(path)
     positions, unit = _positions(table)
     ticks = table.columns(_group(table, (TICKS,), "the arm angles"))
-    used = _agreed(table, encoder)
+    used = Encoder(**table.stated)
     angles = used.angles(ticks)
     for row, limb in np.argwhere(np.abs(angles) > math.pi)[:1]:
-        line, near = table.lines[row], "more than half a turn from its zero; check --zero-ticks"
+        line, near = table.lines[row], "more than half a turn from its zero; check zero_ticks"
         raise CalibrationError(f"line {line}: {TICKS[limb]} is {ticks[row, limb]:g}: {near}", [line])
     return Measurements(positions * unit, angles, _held_out(table), table.lines, TICK / math.sqrt(12.0), used)
 
@@ -318,16 +308,6 @@ def _positions(table: Table) -> tuple[Array, float]:
     return table.columns(names), POSITION_COLUMNS[names]
 
 
-def _agreed(table: Table, encoder: Encoder | None) -> Encoder:
-    """Return the caller's encoder, or the one stated in the file; both must agree."""
-    if encoder is None:
-        return Encoder(**table.stated)
-    for name, value in table.stated.items():
-        if getattr(encoder, name) != value:
-            raise CalibrationError(f"{name} {getattr(encoder, name)} was given, but the file states {value}")
-    return encoder
-
-
 def _held_out(table: Table) -> Mask | None:
     if HELD_OUT not in table.names:
         return None
@@ -340,7 +320,6 @@ def _held_out(table: Table) -> Mask | None:
 GRID = 3  # poses along each edge of the box
 HELD_OUT_POSES = 9
 _INSET = 0.95  # of the box; a real arm reaches some millimetres less than its drawing
-_TARGETS = tuple(f"target_{axis}_mm" for axis in AXES)
 _MEASURED = (*TICKS, *(f"{axis}_mm" for axis in AXES))
 
 
@@ -373,57 +352,6 @@ def plan(geometry: DeltaGeometry, seed: int = 0) -> tuple[PlannedPose, ...]:
     return tuple(
         PlannedPose(number, number > len(grid), (float(point[0]), float(point[1]), float(point[2])))
         for number, point in enumerate(points, start=1)
-    )
-
-
-def write_plan(path: str | Path, poses: Sequence[PlannedPose], geometry: DeltaGeometry, encoder: Encoder) -> None:
-    """Write a table of `poses` with commanded angles and goal ticks, and empty columns for the measurements.
-
-    Raises:
-        CalibrationError: the arm cannot reach a pose.
-        OSError: the file cannot be written.
-    """
-    positions = np.array([pose.position for pose in poses])
-    solved = Delta(geometry).inverse(positions)
-    for pose, status in zip(poses, np.atleast_1d(np.asarray(solved.status)), strict=True):
-        if status:
-            raise CalibrationError(
-                f"pose {pose.number}: {Status(int(status)).name}; reduce the geometry's workspace box to its reach"
-            )
-    rows = [
-        (pose.number, int(pose.held_out))
-        + tuple(f"{value / MILLIMETRE:.3f}" for value in pose.position)
-        + tuple(f"{value:.3f}" for value in np.degrees(angles))
-        + tuple(f"{value:.0f}" for value in encoder.ticks(angles))
-        + ("",) * len(_MEASURED)
-        for pose, angles in zip(poses, solved.angles, strict=True)
-    ]
-    with Path(path).open("w", encoding="utf-8", newline="") as file:
-        file.write(
-            "# Go to each pose and wait until the arm rests. Enter the ticks read from the servos, and x, y, z as\n"
-            f"# measured in charger_base. Delete rows that were not measured.\n{encoder.statement}"
-        )
-        csv.writer(file, lineterminator="\n").writerows([("pose", HELD_OUT, *PLAN_COLUMNS[1:], *_MEASURED), *rows])
-
-
-def read_plan(path: str | Path) -> tuple[PlannedPose, ...]:
-    """Read the poses of a plan; other columns may be empty.
-
-    Raises:
-        OSError: the file cannot be read.
-        CalibrationError: the file is invalid; names the line.
-    """
-    table = read_table(path)
-    for name in ("pose", HELD_OUT, *_TARGETS):
-        if name not in table.names:
-            raise CalibrationError(f"column '{name}' is missing: give a file written by --plan")
-    positions = table.columns(_TARGETS) * MILLIMETRE
-    numbers, held_out = table.column("pose"), table.column(HELD_OUT)
-    if len(set(numbers)) != len(numbers):
-        raise CalibrationError("two rows have the same number in column 'pose'")
-    return tuple(
-        PlannedPose(int(number), bool(kept), (float(x), float(y), float(z)))
-        for number, kept, (x, y, z) in zip(numbers, held_out, positions, strict=True)
     )
 
 

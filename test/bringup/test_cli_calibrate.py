@@ -63,7 +63,7 @@ def test_a_fit_reports_its_quality_and_writes_a_geometry(capsys: Capture, data: 
     assert rms(Delta(ARM).forward(angles).position - Delta(geometry).forward(angles).position) < 1e-4
     header = out.read_text(encoding="utf-8")
     digest = hashlib.sha256(data.read_bytes()).hexdigest()
-    for word in (digest, "measured.csv", "36 rows", "held out: 9", "zero_ticks 2048 2048 2048", "date: 20"):
+    for word in (digest, "measured.csv", "36: rms", "zero_ticks 2048 2048 2048", "date: 20"):
         assert word in header
     code, _, err = run(capsys, *FIT, data, "--nominal", out, "--out", tmp_path / "again.yaml")  # already fitted
     assert (code, "improve" in err, (tmp_path / "again.yaml").exists()) == (1, True, False)
@@ -75,22 +75,12 @@ def test_an_outlier_is_named_and_the_geometry_is_not_written(capsys: Capture, tm
     code, found = answer(capsys, *FIT, data, "--out", out)
     assert (code, found["outliers"], out.exists()) == (1, [14], False)  # two comments and the header come first
     assert run(capsys, *FIT, data, "--out", out, "--force")[0] == 0
-    assert "doubtful: line 14" in out.read_text(encoding="utf-8")
+    assert "line 14: the other rows" in out.read_text(encoding="utf-8")
 
 
 def test_a_bad_row_is_reported_with_file_and_line(capsys: Capture, data: Path) -> None:
-    refuses(capsys, f"calibrate kinematics {data} --zero-ticks 2050 2048 2048", "zero_ticks")
-    refuses(capsys, f"calibrate kinematics {data} --direction 1 1 -1", "direction")
     lines = data.read_text(encoding="utf-8").splitlines()
     lines[6] = lines[6].replace(",", ",x", 1)
     data.write_text("\n".join(lines), encoding="utf-8")
     found = refuses(capsys, f"calibrate kinematics {data}", "line 7")
     assert (found["file"], found["lines"]) == (str(data), [7])
-
-
-def test_a_plan_is_written_and_overwritten_only_with_force(capsys: Capture, tmp_path: Path) -> None:
-    path = tmp_path / "plan.csv"
-    code, found = answer(capsys, *FIT, "--plan", path, "--zero-ticks", 2000, 2048, 2048)
-    assert (code, found) == (0, {"success": True, "written": str(path), "poses": 36, "held_out": 9})
-    assert "# zero_ticks 2000 2048 2048\n" in path.read_text(encoding="utf-8")
-    assert [run(capsys, *FIT, "--plan", path, *force)[0] for force in ((), ("--force",))] == [2, 0]

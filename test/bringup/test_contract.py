@@ -35,7 +35,6 @@ FILES = {
     "text.npz": "no archive",
     "text.mcap": "PNG and so on" * 100,
     "empty.png": "",
-    "plan.csv": "mine",
 }
 FIT, RECORD = "calibrate kinematics", "tactile record --out F.npz"
 BOARD, PRINT = "calibrate camera --views .", "calibrate camera --print"
@@ -53,13 +52,10 @@ REFUSED = {
     "dock --scene bad.yaml": "seed",
     "simulate --directory never --record /proc/record.json": "/proc/record.json",
     "simulate --directory never --scene bench": "bench",
-    f"{FIT} --plan /proc/plan.csv": "/proc/plan.csv",
+    f"{FIT} text.csv --out /proc/arm.yaml": "/proc/arm.yaml",
     f"{FIT}": "DATA",
     f"{FIT} text.csv": "text.csv",
-    f"{FIT} text.csv --held-out 0": "--held-out",
-    f"{FIT} text.csv --plan new.csv": "--plan",
-    f"{FIT} --measure new.csv": "--plan",
-    f"{FIT} --plan none.csv --measure new.csv": "none.csv",
+    f"{FIT} text.csv --measure new.csv": "--measure",
     "calibrate camera": "--views",
     f"{PRINT} board.pdf": ".svg",
     f"{BOARD} --board-x-mm 20": "--board-y-mm, --board-z-mm",
@@ -88,7 +84,6 @@ REFUSED = {
     "replay text.mcap": "MCAP",
     "view --save view.png": ".rrd",
     "view --save /proc/view.rrd": "/proc/view.rrd",
-    "view --save a.rrd --connect rerun+http://h:1/proxy": "--connect",
     "view --recording text --stop-after-s 3 --save a.rrd": "running charger",
     **{f"view --web {address}": address for address in ("here", "127.0.0.1:65535")},
     "doctor --set-baud 1000000": "--servo-port",
@@ -194,7 +189,7 @@ def test_a_full_disk_is_a_failed_job_and_an_unusable_path_is_wrong_input(
     ("line", "refuse"),
     [
         ("simulate --directory {0}/new", "mkdir"),
-        ("calibrate kinematics --plan {0}/plan.csv", "TemporaryFile"),
+        ("calibrate kinematics none.csv --out {0}/arm.yaml", "TemporaryFile"),
     ],
 )
 def test_a_path_is_tried_before_any_work(

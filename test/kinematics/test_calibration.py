@@ -30,8 +30,6 @@ from deltacharger_kinematics.calibration.data import (
     PoseRecording,
     plan,
     read_measurements,
-    read_plan,
-    write_plan,
 )
 from deltacharger_kinematics.geometry import load_geometry, save_geometry
 
@@ -267,10 +265,10 @@ def test_uncertainties_are_positive(name: str) -> None:
 ROW = "1,2,3,2048,2100,2000"
 
 
-def read(tmp_path: Path, text: str | bytes, encoder: Encoder | None = None) -> Measurements:
+def read(tmp_path: Path, text: str | bytes) -> Measurements:
     path = tmp_path / "data.csv"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
-    return read_measurements(path, encoder)
+    return read_measurements(path)
 
 
 @pytest.mark.parametrize(
@@ -285,7 +283,7 @@ def read(tmp_path: Path, text: str | bytes, encoder: Encoder | None = None) -> M
         f"{HEADER.replace(',', ';')};;\n1.0;2.0;3.0;2048;2100;2000;;\n",
         f"{HEADER.replace(',', chr(9))}\n{ROW.replace(',', chr(9))}\n",
         "x_m,y_m,z_m,ticks_0,ticks_1,ticks_2\n0.001,2e-3,+.003,2048.0,2100,2000\n",
-        f"pose,target_x_mm,{HEADER},goal_ticks_0\n1,,{ROW},\n",
+        f"pose,{HEADER}\n1,{ROW}\n",
     ],
 )
 def test_files_as_editors_and_spreadsheets_write_them(tmp_path: Path, text: str) -> None:
@@ -294,17 +292,13 @@ def test_files_as_editors_and_spreadsheets_write_them(tmp_path: Path, text: str)
     assert np.allclose(rows.angles, [[0.0, 52 * TICK, -48 * TICK]], atol=1e-15)
 
 
-def test_zero_ticks_and_direction_of_file_and_caller_must_agree(tmp_path: Path) -> None:
+def test_zero_ticks_and_direction_are_as_the_file_states(tmp_path: Path) -> None:
     stated = (
         f"# zero_ticks 2000 2048 2048\n# direction: 1 1 -1\n# direction of the probe: from above\n{HEADER}\n{ROW}\n"
     )
     encoder = Encoder((2000, 2048, 2048), (1, 1, -1))
     assert read(tmp_path, stated).encoder == encoder
     assert read(tmp_path, stated).angles[0].tolist() == [48 * TICK, 52 * TICK, 48 * TICK]
-    assert read(tmp_path, stated, encoder).encoder == encoder
-    assert read(tmp_path, f"{HEADER}\n{ROW}\n", encoder).encoder == encoder
-    with pytest.raises(CalibrationError, match="the file states"):
-        read(tmp_path, stated, Encoder())
     with pytest.raises(CalibrationError, match=r"line 1: .* three whole numbers"):
         read(tmp_path, f"# zero_ticks 2048 2048\n{HEADER}\n{ROW}\n")
     with pytest.raises(CalibrationError, match="direction"):
@@ -341,32 +335,11 @@ def test_doubtful_cells_are_refused_with_their_line(tmp_path: Path, text: str | 
         read(tmp_path, text)
 
 
-def test_a_plan_spans_the_workspace_and_is_read_back_as_written(tmp_path: Path) -> None:
-    path = tmp_path / "plan.csv"
-    write_plan(path, POSES, NOMINAL, Encoder())
-    again = read_plan(path)
-    assert [(pose.number, pose.held_out) for pose in again] == [(pose.number, pose.held_out) for pose in POSES]
-    assert np.allclose([pose.position for pose in again], POINTS, atol=1e-6)
+def test_a_plan_spans_the_workspace() -> None:
     assert (len(POSES), KEPT.sum()) == (36, 9)
     assert (Delta(NOMINAL).inverse(POINTS).status == 0).all()
     assert len(np.unique(POINTS, axis=0)) == 36
     assert plan(NOMINAL, seed=1) != POSES
-    with pytest.raises(CalibrationError, match=r"line 6: x_mm is empty"):
-        read_measurements(path)
-
-
-def test_a_plan_beyond_the_reach_is_refused(tmp_path: Path) -> None:
-    wide = replace(NOMINAL, workspace_max=(0.4, 0.06, 0.11))
-    with pytest.raises(CalibrationError, match=r"pose 2: .*JOINT_LIMIT"):
-        write_plan(tmp_path / "plan.csv", plan(wide), wide, Encoder())
-    assert not (tmp_path / "plan.csv").exists()
-
-
-@pytest.mark.parametrize("text", ["pose,held_out\n1,0\n", "target_x_mm\n3\n", ""])
-def test_an_invalid_plan_is_refused(tmp_path: Path, text: str) -> None:
-    (tmp_path / "plan.csv").write_text(text)
-    with pytest.raises(CalibrationError):
-        read_plan(tmp_path / "plan.csv")
 
 
 def test_a_recording_is_a_measurement_file_and_can_resume(tmp_path: Path) -> None:
