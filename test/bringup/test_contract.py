@@ -34,7 +34,6 @@ FILES = {
     "text.csv": "no,table",
     "text.npz": "no archive",
     "text.mcap": "PNG and so on" * 100,
-    "empty.png": "",
 }
 FIT, RECORD = "calibrate kinematics", "tactile record --out F.npz"
 BOARD, PRINT = "calibrate camera --views .", "calibrate camera --print"
@@ -47,10 +46,8 @@ REFUSED = {
     "dock --x-mm 1 --camera": "--camera",
     "dock --scene bench --x-mm 3": "--y-mm, --z-mm",
     "dock --namespace 'bad name'": "--namespace",
-    "dock --picture ''": "--picture",
     "dock --picture /proc/run.png": "/proc/run.png",
     "dock --scene bad.yaml": "seed",
-    "simulate --directory never --record /proc/record.json": "/proc/record.json",
     "simulate --directory never --scene bench": "bench",
     f"{FIT} text.csv --out /proc/arm.yaml": "/proc/arm.yaml",
     f"{FIT}": "DATA",
@@ -59,39 +56,26 @@ REFUSED = {
     "calibrate camera": "--views",
     f"{PRINT} board.pdf": ".svg",
     f"{BOARD} --board-x-mm 20": "--board-y-mm, --board-z-mm",
-    f"{BOARD} --take 3": "--take",
     "calibrate tactile --out new.yaml": "--data",
-    "calibrate tactile --data text.npz --out .": "written",
     "calibrate tactile --data text.npz --out new.yaml": "data set",
     RECORD: "--set",
     f"{RECORD} --set angle": "--angle-deg",
     f"{RECORD} --set angle --angle-deg 6": "-5 to 5",
-    f"{RECORD} --set position --angle-deg 1": "level",
     f"{RECORD} --set reference --offsets-mm 1": "--offsets-mm",
-    f"{RECORD} --set reference --out F.csv": ".npz",
     f"{RECORD} --set reference --out text.npz": "npz file",
     "vision detect": "IMAGE",
     COLOR: "--camera-info",
     f"{COLOR} --camera-info k.yaml": "distortion",
-    f"{COLOR} --camera-info k.yaml --pictures text": "--pictures",
     f"{COLOR} --color-topic /x": "--color-topic",
     "vision detect . --depth text.png": "--depth",
     "vision detect k.yaml": "folder",
-    "vision detect folder.png": "images",
-    "vision detect bag": "bag/x_0.mcap",
     "vision detect bare": "camera_info.yaml",
-    "vision detect bare --camera-info k.yaml --color-topic /x": "--color-topic",
     "replay text.mcap": "MCAP",
-    "view --save view.png": ".rrd",
     "view --save /proc/view.rrd": "/proc/view.rrd",
     "view --recording text --stop-after-s 3 --save a.rrd": "running charger",
     **{f"view --web {address}": address for address in ("here", "127.0.0.1:65535")},
     "doctor --set-baud 1000000": "--servo-port",
-    "doctor --set-baud 57600 --servo-port board": "--board-port",
-    "doctor --set-baud 57600 --servo-port /dev/null --ids 300": "--ids",
-    "doctor --scene nowhere": "nowhere",
     "doctor --scene simulated --servo-port /dev/null": "simulated",
-    "doctor --port /dev/null": "--port",
 }
 LIBRARIES = {
     "view": ("rerun", "mcap"),
@@ -104,9 +88,8 @@ LIBRARIES = {
 @pytest.fixture(scope="module")
 def kit(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("kit")
-    for name in ("folder.png", "bare", "bag"):
-        (folder / name).mkdir()
-    for name, text in {**FILES, "text.png": "", "bare/a.color.png": "", "bag/x_0.mcap": ""}.items():
+    (folder / "bare").mkdir()
+    for name, text in {**FILES, "text.png": "", "bare/a.color.png": ""}.items():
         (folder / name).write_text(text)
     return folder
 
@@ -123,7 +106,7 @@ def test_wrong_input_ends_with_2_and_a_noun(
     assert sorted(kit.rglob("*")) == before, "nothing is written"
 
 
-def test_scene_lists_checks_and_explains(capsys: Capture) -> None:
+def test_scene_lists_and_explains(capsys: Capture) -> None:
     assert {"simulated", "mocks", "bench"} <= {each["scene"] for each in answer(capsys, "scene")[1]["scenes"]}
     stiffness = "simulation.world.servo.stiffness"
     (explained,) = answer(capsys, "scene", "simulated")[1]["scenes"]
@@ -151,7 +134,7 @@ def test_a_command_of_the_laboratory_says_how_to_get_it_where_that_is_missing(
     refuses(capsys, line, "make lab")
 
 
-@pytest.mark.parametrize("domain", ["abc", "-1", "233", "99999999999"])
+@pytest.mark.parametrize("domain", ["abc", "233"])
 def test_an_invalid_ros_domain_ends_with_2(capsys: Capture, monkeypatch: pytest.MonkeyPatch, domain: str) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", domain)
     refuses(capsys, "undock", "232")
@@ -170,8 +153,7 @@ def test_a_missing_middleware_ends_commands_and_nodes_with_2(capsys: Capture, mo
 @pytest.mark.parametrize(
     ("kind", "exit_code"),
     [
-        *(("ENOSPC", 1), ("EDQUOT", 1), ("EIO", 1), ("EPIPE", 1)),
-        *(("ENOTDIR", 2), ("ENOENT", 2), ("EACCES", 2), ("EISDIR", 2)),
+        *(("ENOSPC", 1), ("EIO", 1), ("ENOENT", 2), ("EACCES", 2)),
     ],
 )
 def test_a_full_disk_is_a_failed_job_and_an_unusable_path_is_wrong_input(
@@ -241,12 +223,10 @@ def test_no_option_accepts_an_infinite_number() -> None:
     [
         ("a\nb", "a\\u000ab"),
         ("\x1b]0;mine\x07", "\\u001b]0;mine\\u0007"),
-        ("\x9b31m", "\\u009b31m"),
         ("a\u202eb", "a\\u202eb"),
-        ("nul\0", "nul\\u0000"),
         ("x" * 100_000, "characters"),
     ],
-    ids=["newline", "escape", "C1", "right to left", "nul", "long"],
+    ids=["newline", "escape", "right to left", "long"],
 )
 def test_a_word_with_control_characters_is_refused(capsys: Capture, word: str, shown: str) -> None:
     for words in (("replay", word), ("dock", "--json", f"--{word}")):
@@ -257,7 +237,7 @@ def test_a_word_with_control_characters_is_refused(capsys: Capture, word: str, s
 
 
 @pytest.mark.parametrize(("word", "shown"), [("caf\udce9", "caf\\udce9"), ("-", "-")])
-@pytest.mark.parametrize("command", ["replay", "vision detect", "scene", "calibrate tactile --out m.npz --data"])
+@pytest.mark.parametrize("command", ["replay", "scene"])
 def test_a_name_that_is_not_utf8_is_reported(
     capsys: Capture, command: str, word: str, shown: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -282,7 +262,7 @@ class Stream(io.TextIOWrapper):
         super().__init__(io.BytesIO(), encoding=encoding, errors="backslashreplace", write_through=True)
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1252", "utf-8", "utf-16"])
+@pytest.mark.parametrize("encoding", ["ascii", "utf-16"])
 def test_json_is_valid_in_every_encoding(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, encoding: str) -> None:
     out = Stream(encoding)
     monkeypatch.setattr(sys, "stdout", out)
@@ -292,7 +272,7 @@ def test_json_is_valid_in_every_encoding(monkeypatch: pytest.MonkeyPatch, tmp_pa
     assert json.loads(out.buffer.getvalue().decode(encoding))["folder"] == str(folder)  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize("words", [("scene", "level"), ("--help",), ("scene", "level", "--json")])
+@pytest.mark.parametrize("words", [("scene", "level"), ("--help",)])
 def test_a_lost_output_is_a_failed_job(
     capsys: Capture, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
 ) -> None:
@@ -312,10 +292,9 @@ ARGUMENTS = ["scene:=bench", "servo_prot:=/dev/ttyUSB1"]
     [
         (("deltacharger", "charger.launch.py"), "/opt/share/launch/charger.launch.py", True),
         (("charger.launch.py",), "{cwd}/charger.launch.py", True),
-        (("fleet", "robot.launch.py"), "/opt/share/launch/charger.launch.py", False),
         (("my_robot", "charger.launch.py"), "/opt/share/launch/charger.launch.py", False),
     ],
-    ids=["by package", "by path", "included", "of another package"],
+    ids=["by package", "by path", "of another package"],
 )
 def test_an_unknown_argument_of_our_launch_file_is_refused_by_name(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, started: tuple[str, ...], file: str, refused: bool
