@@ -42,15 +42,6 @@ def test_the_text_states_who_can_command_the_nodes(
     assert environment.openness() == text
 
 
-@pytest.mark.parametrize(("set_before", "reached"), [("", "SUBNET"), ("LOCALHOST", "LOCALHOST")])
-def test_settings_of_the_user_override_the_scene(
-    monkeypatch: pytest.MonkeyPatch, set_before: str, reached: str
-) -> None:
-    monkeypatch.setenv(RANGE, set_before)
-    environment.reach("subnet")
-    assert os.environ[RANGE] == reached
-
-
 @pytest.mark.parametrize("name", ["FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE", ""])
 def test_fast_dds_settings_of_the_user_are_kept(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """They may be in a variable, or in a file of the working directory."""

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import os
 import signal
@@ -12,16 +11,6 @@ from pathlib import Path
 import pytest
 
 from deltacharger_core import files
-
-
-def test_a_failure_leaves_only_the_old_file(tmp_path: Path) -> None:
-    path = tmp_path / "f"
-    files.write_text(path, "old")
-    with contextlib.suppress(ZeroDivisionError), files.atomic_write(path) as beside:
-        beside.write_text("half")
-        raise ZeroDivisionError
-    assert path.read_text() == "old"
-    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_process_killed_while_writing_leaves_the_existing_file(tmp_path: Path) -> None:

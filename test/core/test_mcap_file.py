@@ -40,7 +40,6 @@ def write(path: Path, chunk_size: int = 600, messages: list[Raw] = MESSAGES, **o
         {},
         {"use_chunking": False},
         {"index_types": IndexType.NONE},
-        {"use_statistics": False},
         {"repeat_channels": False, "repeat_schemas": False},
     ],
 )
@@ -54,13 +53,6 @@ def test_the_complete_content_is_read_from_every_kind_of_file(tmp_path: Path, op
     assert (file.first, file.last, file.damage) == (1000, 1099, "")
     assert file.metadata == [("about", {"scene": "tape"})]
     assert file.metadata_named("nothing") == []
-
-
-@pytest.mark.parametrize("index_types", [IndexType.ALL, IndexType.MESSAGE])
-def test_a_long_recording_in_small_chunks_is_read_to_its_end(tmp_path: Path, index_types: IndexType) -> None:
-    file = McapFile(write(tmp_path / "a.mcap", 1, 20 * MESSAGES, index_types=index_types))
-    assert (file.damage, file.counts.total()) == ("", 20 * len(MESSAGES))
-    assert sum(1 for _ in file.messages()) == file.counts.total()
 
 
 @pytest.mark.parametrize("share", [0.3, 0.7, 0.99])

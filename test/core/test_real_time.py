@@ -6,30 +6,12 @@ from __future__ import annotations
 import errno
 import importlib
 import os
-import threading
 from typing import Any
 
 import pytest
 
 from deltacharger_core import real_time
 from deltacharger_scenes.node_table import NODES
-
-
-def test_threads_that_start_later_have_the_priority_of_the_one_that_took_it() -> None:
-    found: list[str] = []
-
-    def begin() -> None:
-        found.append(real_time.take_priority() or "real time")
-        later = threading.Thread(target=lambda: found.append(real_time.priority()))
-        later.start()
-        later.join()
-
-    thread = threading.Thread(target=begin)
-    thread.start()
-    thread.join()
-    told, later = found
-    assert later == ("real time" if told == "real time" else "ordinary")
-    assert real_time.priority() == "ordinary"
 
 
 def test_without_permission_the_process_goes_on_and_says_what_to_permit(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -78,14 +78,3 @@ def test_only_the_first_reply_to_an_awaited_request_is_used() -> None:
     assert calls.take(asked) is None
     assert calls.take(unawaited) is None
     assert calls.take(99) is None
-
-
-def test_replies_to_forgotten_requests_are_dropped() -> None:
-    calls: Calls[Reply] = Calls()
-    early, late = calls.number(), calls.number()
-    calls.receive([Reply(early)])
-    calls.forget()
-    calls.receive([Reply(late)])
-    assert calls.take(early) is None
-    assert calls.take(late) is None
-    assert not calls.open

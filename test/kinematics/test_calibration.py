@@ -13,7 +13,6 @@ import pytest
 from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.calibration.calibrate import (
     COUNT,
-    Problem,
     Uncertainty,
     calibrate,
     find_outliers,
@@ -31,7 +30,6 @@ from deltacharger_kinematics.calibration.data import (
     plan,
     read_measurements,
 )
-from deltacharger_kinematics.geometry import load_geometry, save_geometry
 
 from ..marks import night, rest
 
@@ -74,26 +72,14 @@ def workspace_error(arm: DeltaGeometry, model: DeltaGeometry) -> float:
     return rms(Delta(arm).forward(BOX_ANGLES).position - Delta(model).forward(BOX_ANGLES).position)
 
 
-@pytest.mark.parametrize("seed", [rest(0), rest(1), rest(2)])
-def test_exact_measurements_recover_the_arm(seed: int) -> None:
-    arm = drawn_arm(seed)
+@pytest.mark.rest
+def test_exact_measurements_recover_the_arm() -> None:
+    arm = drawn_arm(1)
     exact = Uncertainty(measurement=1e-9)  # so small that the tolerances have no effect
     found = fit(measured(arm, BOX[:12], noise=0.0), NOMINAL, exact)
     assert np.abs(numbers(found.geometry) - numbers(arm)).max() < 1e-9
     assert rms(found.residuals) < 1e-13
     assert workspace_error(arm, found.geometry) < 1e-12
-
-
-def test_derivatives_match_the_exact_geometry() -> None:
-    arm, angles, step = drawn_arm(3), BOX_ANGLES[:2], 1e-3 * np.diag(STATED.tolerances)
-    rows = Measurements(BOX[:2], angles, None, (0, 1))
-    slopes = Problem(rows, NOMINAL, STATED).sensitivity((numbers(arm) - numbers(NOMINAL)) / STATED.tolerances)
-    for column in range(COUNT):
-        ahead, behind = (
-            Delta(with_numbers(arm, numbers(arm) + sign * step[column])).forward(angles).position for sign in (1, -1)
-        )
-        expected = (ahead - behind) / 2e-3
-        assert np.allclose(slopes[..., column], expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("count", [rest(3), night(8)])
@@ -145,36 +131,6 @@ def test_rows_that_scatter_more_than_stated_have_less_weight() -> None:
     assert np.allclose(found.singular_values, same.singular_values, rtol=0.2)
 
 
-@pytest.mark.parametrize("seed", [0, *map(rest, range(1, 5))])
-def test_tolerances_constrain_what_nine_poses_do_not_determine(seed: int) -> None:
-    arm = drawn_arm(seed)
-    nine = np.random.default_rng(seed).uniform(NOMINAL.workspace_min, NOMINAL.workspace_max, (9, 3))
-    found = fit(measured(arm, nine, seed=seed), NOMINAL, STATED)
-    assert (np.abs(numbers(found.geometry) - numbers(NOMINAL)) < 5.0 * STATED.tolerances).all()
-    assert workspace_error(arm, found.geometry) < 0.3 * MILLIMETRE
-    assert found.singular_values[-1] < 1.0
-
-
-@pytest.mark.rest
-def test_whole_ticks_are_weighted_by_their_resolution(tmp_path: Path) -> None:
-    arm = drawn_arm(6)
-    rows = measured(arm, noise=0.005 * MILLIMETRE)
-    rounded = replace(rows, angles=np.round(rows.angles / TICK) * TICK)
-    aware = fit(replace(rounded, angle_stddev=TICK / math.sqrt(12.0)), NOMINAL, replace(STATED, measurement=5e-6))
-    assert aware.scatter < 1.3
-    assert fit(rounded, NOMINAL, replace(STATED, measurement=5e-6)).scatter > 5.0
-    assert read_measurements(write(tmp_path / "ticks.csv", rows)).angle_stddev == pytest.approx(TICK / math.sqrt(12.0))
-
-
-@pytest.mark.rest
-def test_a_calibrated_geometry_is_a_valid_start() -> None:
-    arm = drawn_arm(7)
-    start = with_numbers(arm, numbers(arm) + 0.3 * STATED.tolerances)
-    found = calibrate(measured(arm), start, STATED)
-    assert found.improves
-    assert workspace_error(arm, found.fit.geometry) < 0.06 * MILLIMETRE
-
-
 def test_exactly_the_outliers_are_named() -> None:
     arm = drawn_arm(8)
     rows = measured(arm)
@@ -183,48 +139,13 @@ def test_exactly_the_outliers_are_named() -> None:
     assert np.flatnonzero(find_outliers(rows, NOMINAL, STATED)).tolist() == [4, 20]
 
 
-@pytest.mark.rest
-def test_the_held_out_rows_are_drawn_by_the_seed_or_taken_from_the_file() -> None:
-    rows = measured(drawn_arm(1))
-    assert calibrate(rows).held_out.tolist() == KEPT.tolist()
-    free = replace(rows, held_out=None)
-    drawn = [calibrate(free, held_out=0.25, seed=seed).held_out for seed in (0, 0, 1)]
-    assert [mask.sum() for mask in drawn] == [9, 9, 9]
-    assert (drawn[0] == drawn[1]).all()
-    assert (drawn[0] != drawn[2]).any()
-
-
-@pytest.mark.rest
-def test_a_calibration_that_does_not_improve_is_reported() -> None:
-    results = [calibrate(measured(NOMINAL, seed=seed), NOMINAL, STATED) for seed in range(4)]
-    assert all(result.held_out_rms[1] < 0.2 * MILLIMETRE for result in results)
-    assert not all(result.improves for result in results)
-
-
-@pytest.mark.rest
-def test_a_calibration_changes_the_limbs_alone_and_its_file_has_the_held_out_accuracy(tmp_path: Path) -> None:
-    path, start = tmp_path / "arm.yaml", replace(NOMINAL, rod_mass=0.03)
-    found = calibrate(measured(drawn_arm(2)), start, STATED)
-    assert replace(found.fit.geometry, limbs=start.limbs) == start
-    save_geometry(found.fit.geometry, path, "made by a test")
-    loaded = load_geometry(path)
-    assert loaded == found.fit.geometry
-    unseen = measured(drawn_arm(2), BOX, seed=5)
-    error = unseen.positions - Delta(loaded).forward(unseen.angles).position
-    assert rms(error) < 1.3 * found.held_out_rms[1]
-
-
 @pytest.mark.parametrize(
     ("rows", "problem"),
     [
         (measured(NOMINAL, POINTS * [1.0, 1.0, 0.0] + [0.0, 0.0, 0.05]), "one plane.*along z"),
-        (measured(NOMINAL, POINTS * [1.0, 0.0, 1.0]), "one plane.*along y"),
-        (measured(NOMINAL, POINTS * [0.0, 0.0, 1.0]), "one line"),
         (measured(NOMINAL, POINTS @ [[1, 0, 1], [0, 1, 0], [0, 0, 0]] + UP), r"-0\.7, 0\.0"),
         (measured(NOMINAL, np.full((36, 3), 0.03)), "one point"),
-        (measured(NOMINAL, POINTS * 0.05 + [0.0, 0.0, 0.05]), "one point"),
         (replace(measured(NOMINAL, np.repeat(POINTS[[0, 2, 8, 26]], 8, axis=0)), held_out=None), "do not determine"),
-        (measured(NOMINAL, BOX[:1]), "more poses"),
         (measured(NOMINAL, BOX[:6]), "more poses"),
         # Millimetres in columns of metres, and the other way round.
         (replace(GOOD, positions=1e3 * GOOD.positions), "millimetres"),
@@ -232,8 +153,6 @@ def test_a_calibration_changes_the_limbs_alone_and_its_file_has_the_held_out_acc
         # Axes swapped, origin in the motor plane, limbs swapped, horn one tooth off.
         (replace(GOOD, positions=GOOD.positions[:, [1, 0, 2]]), "predicted"),
         (replace(GOOD, positions=GOOD.positions + 1.7 * UP), "predicted"),
-        (replace(GOOD, angles=GOOD.angles[:, [2, 1, 0]]), "predicted"),
-        (replace(GOOD, angles=GOOD.angles + math.radians(15.0)), "predicted"),
     ],
 )
 def test_unsuitable_measurements_are_refused(rows: Measurements, problem: str) -> None:
@@ -276,11 +195,9 @@ def read(tmp_path: Path, text: str | bytes) -> Measurements:
     [
         f"{HEADER}\n{ROW}\n",
         f"\ufeff{HEADER}\r\n{ROW}\r\n\r\n",
-        f"{HEADER}\r{ROW}",
         f"# made on Monday\n\n {HEADER.replace(',', ' , ')}\n{ROW}\n,,,,,\n# end\n",
         '"# comment, quoted"\n"x_mm","y_mm",z_mm,ticks_0,ticks_1,ticks_2\n"1",2,3,2048,2100,2000\n',
         f"{HEADER.replace(',', ';')}\n1,0;2,0;3,0;2048;2100;2000\n",
-        f"{HEADER.replace(',', ';')};;\n1.0;2.0;3.0;2048;2100;2000;;\n",
         f"{HEADER.replace(',', chr(9))}\n{ROW.replace(',', chr(9))}\n",
         "x_m,y_m,z_m,ticks_0,ticks_1,ticks_2\n0.001,2e-3,+.003,2048.0,2100,2000\n",
         f"pose,{HEADER}\n1,{ROW}\n",
@@ -311,21 +228,14 @@ def test_zero_ticks_and_direction_are_as_the_file_states(tmp_path: Path) -> None
         ("", "the file is empty"),
         (f"{HEADER}\n", "a header and no rows"),
         (f"{HEADER}\n1,2,x,2048,2100,2000\n", "line 2: z_mm"),
-        (f"# c\n{HEADER}\n{ROW}\n1,,3,2048,2100,2000\n", "line 4: y_mm is empty"),
         (f"{HEADER}\n1,2,nan,2048,2100,2000\n", "line 2: z_mm is 'nan'"),
-        (f"{HEADER}\n1,2,３,2048,2100,2000\n", "line 2: z_mm"),
         (f"{HEADER}\n1,5,2,5,3,5,2048,2100,2000\n", "9 cells for 6 columns; are there decimal commas"),
-        (f"{HEADER}\n1,2,3,2048,2100\n", "line 2: 5 cells for 6 columns"),
-        (f'{HEADER}\n1,2,"3\n,2048,2100,2000\n', "line 2: .* must end on its own line"),
-        (f"{HEADER.replace(',', ';')}\n1.000,5;2;3;2048;2100;2000\n", "line 2: x_mm is '1.000,5'"),
         ("x_mm,y_mm,ticks_0,ticks_1,ticks_2\n", "column 'z_mm' is missing"),
         ("x_mm,y_mm,z_mm\n1,2,3\n", "columns of the arm angles are missing"),
-        (f"{HEADER},x_mm\n", "column 'x_mm' appears 2 times"),
         (f"{HEADER},ticks0\n", "unknown column 'ticks0'; did you mean 'ticks_0'"),
         (f"{HEADER},held_out\n{ROW},yes\n", "line 2: held_out is 'yes'"),
         (f"{HEADER}\n1,2,3,6048,2100,2000\n", "line 2: ticks_0 is 6048: more than half a turn"),
         (b"\xff\xfex\x00", "UTF-16"),
-        (f"{HEADER}\n1,2,\xb3,2048,2100,2000\n".encode("latin-1"), "line 2 is not UTF-8"),
         (f"{HEADER}\n" + f"{ROW}\n" * 10_001, "more than 10000 rows"),
         (b"#" * 4_200_000, "more than the 4 MB"),
     ],

@@ -279,14 +279,6 @@ def test_elbows_in_a_line_or_too_far_apart() -> None:
     assert np.isnan(ScalarDelta(apart.geometry).forward(0.0, 0.0, 0.0)).all()
 
 
-@pytest.mark.parametrize("turn", [1e3, 1e308])
-def test_angles_of_many_turns_are_equivalent(turn: float) -> None:
-    wound = DELTA.forward((turn, 0.1, 0.1))
-    plain = DELTA.forward((math.atan2(math.sin(turn), math.cos(turn)), 0.1, 0.1))
-    assert np.allclose(wound.position, plain.position, atol=1e-15, equal_nan=True)
-    assert wound.status & ~(Status.JOINT_LIMIT | LIMBS) == plain.status & ~(Status.JOINT_LIMIT | LIMBS)
-
-
 @pytest.mark.parametrize("scale", [1e-3, 1e3])
 @pytest.mark.parametrize(("arm", "rod"), [(0.1, 0.1001), (0.001, 1.0), (0.18, 0.17)])
 def test_round_trips_of_robots_large_and_small(scale: float, arm: float, rod: float) -> None:

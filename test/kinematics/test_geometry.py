@@ -4,8 +4,6 @@
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -27,17 +25,12 @@ CALIBRATED = DeltaGeometry(
         *((name, 0.0) for name in ("base_radius", "arm", "rod", "platform_radius")),
         *(("arm", value) for value in (-0.1, math.nan, math.inf, 1e-300, 1e300, "0.1", None, True)),
         ("joint_min", 2.0),
-        ("joint_max", 4.0),
         ("swing_max", 0.0),
-        ("swing_max", 2.0),
         ("platform_mass", -0.1),
-        ("rod_mass", math.nan),
         ("z_offset", math.inf),
         ("workspace_min", (0.0, 0.0, 0.2)),
-        ("workspace_max", (0.0, 0.0)),
         ("workspace_max", (0.1, 0.1, math.nan)),
         ("limbs", (LimbAdjustment(),) * 2),
-        ("limbs", ({},) * 3),
     ],
 )
 def test_impossible_values_are_refused_by_name(name: str, value: Any) -> None:
@@ -74,12 +67,8 @@ def test_missing_keys_keep_their_defaults(tmp_path: Path) -> None:
     ("content", "named"),
     [
         (b"armm: 0.1", "armm.*'arm'"),
-        (b"arm: -0.1", r"arm: -0\.1"),
         (b"limbs: [{}, {}]", "limbs"),
         (b"limbs: [{}, {}, {rodd: 0.18}]", r"limbs\[2\]\.rodd.*'rod'"),
-        (b"limbs: [{}, {rod: 0}, {}]", r"limbs\[1\]\.rod"),
-        (b"workspace_min: 3", "workspace_min"),
-        (b"- 1", "mapping"),
         (b"arm: [", "YAML"),
         (b"\xff\xfe\x00arm", ""),
     ],
@@ -91,21 +80,3 @@ def test_a_bad_file_is_refused_with_its_name_and_the_key(tmp_path: Path, content
         load_geometry(path)
     with pytest.raises(OSError, match="none"):
         load_geometry(tmp_path / "none.yaml")
-
-
-@pytest.mark.rest
-def test_kinematics_compute_on_numpy_alone() -> None:
-    program = """
-import sys
-class NumpyAlone:
-    def find_spec(self, name, path=None, target=None):
-        root = name.split(".")[0]
-        if root not in {*sys.stdlib_module_names, "numpy", "deltacharger_kinematics", "deltacharger_core"}:
-            raise ModuleNotFoundError(f"{name} is not installed", name=name)
-sys.meta_path.insert(0, NumpyAlone())
-from deltacharger_kinematics import Delta
-from deltacharger_kinematics.scalar import ScalarDelta
-import deltacharger_kinematics.geometry
-assert abs(Delta().forward(Delta().inverse([0.0, 0.01, 0.06]).angles).position - [0.0, 0.01, 0.06]).max() < 1e-9
-"""
-    subprocess.run([sys.executable, "-c", program], check=True, cwd=Path(__file__).parents[2])

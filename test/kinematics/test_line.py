@@ -20,7 +20,7 @@ from deltacharger_sim.parameters import ServoParameters
 from ..marks import night
 
 DELTA = Delta()
-HOME, DOCK = (0.0, 0.0, 0.0), (0.0, 0.0, 0.080)
+DOCK = (0.0, 0.0, 0.080)
 MILLIMETRE = 1e-3
 
 place = st.tuples(st.floats(-0.060, 0.060), st.floats(-0.060, 0.060), st.floats(0.0, 0.110))
@@ -92,12 +92,6 @@ def test_velocities_and_accelerations_are_the_derivatives_of_the_angles() -> Non
     assert np.allclose(platform, wanted, atol=1e-13)
 
 
-def test_the_platform_reaches_its_speed_if_the_arms_allow_it() -> None:
-    line = plan_line(DELTA, HOME, DOCK, 0.12)
-    assert line.duration == pytest.approx(PEAK_SPEED * 0.080 / 0.12, rel=1e-12)
-    assert max(shares(line)) < 0.5
-
-
 def test_at_excessive_speed_one_limit_is_met_and_none_exceeded() -> None:
     used = np.array([shares(plan_line(DELTA, start, goal, 1e3)) for start, goal in lines(20, seed=3)])
     assert used.max() <= 1.0
@@ -118,15 +112,6 @@ def test_linear_interpolation_of_angles_keeps_the_platform_near_the_line(
             between = DELTA.forward((1 - share) * angles[:-1] + share * angles[1:]).position
             worst = max(worst, off_line(between, start, goal))
     assert 0.0 < worst < bound * MILLIMETRE
-
-
-@pytest.mark.parametrize("length", [0.0, 1e-300, 1e-15, 1e-9, 1e-6])
-def test_the_shortest_lines_take_two_intervals(length: float) -> None:
-    goal = (0.0, 0.0, length)
-    line = plan_line(DELTA, HOME, goal, 0.12)
-    assert (len(line.times), line.positions[-1].tolist()) == (3, list(goal))
-    assert length == 0.0 or line.duration == 0.04
-    assert length or not line.velocities.any() | line.accelerations.any()
 
 
 def test_the_default_acceleration_takes_no_more_torque_than_docking_allows() -> None:

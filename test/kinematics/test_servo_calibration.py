@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import re
 from collections.abc import Callable
 from typing import Any
@@ -35,7 +34,7 @@ from deltacharger_kinematics.calibration.servo_procedure import (
     measure_servos,
     to_file,
 )
-from deltacharger_kinematics.calibration.servo_walk import PosePlanner, ServoModel, eased
+from deltacharger_kinematics.calibration.servo_walk import PosePlanner, ServoModel
 from deltacharger_kinematics.delta import Delta
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_sim.parameters import ServoParameters, TargetParameters, WorldParameters
@@ -157,14 +156,6 @@ def test_the_error_for_an_arm_out_of_reach_says_to_push_it() -> None:
         PosePlanner(QUICK).middle(np.array((3.0, -3.0, 0.0)), ServoModel(np.full(3, 15.0), np.full(3, 0.1)))
 
 
-def test_a_move_decelerates_and_ends_at_its_goal() -> None:
-    points = eased((0.0, 0.0, 0.0), (0.3, -0.3, 0.0), 0.5)
-    turns = np.diff([0.0, *(goals[0] for _, goals in points)])
-    assert (turns > 0.0).all()
-    assert (np.diff(turns) < 0.0).all()
-    assert points[-1] == (pytest.approx(0.5), (pytest.approx(0.3), pytest.approx(-0.3), 0.0))
-
-
 class Rattling(VirtualArm):
     draw = np.random.default_rng(0)
 
@@ -203,12 +194,3 @@ def test_a_bad_arm_is_doubted_or_ends_it(made: Callable[[], VirtualArm], gravity
     except ServoTrouble as trouble:
         found = str(trouble)
     assert re.search(problem, found)
-
-
-def test_gravity_and_angles_are_as_assumed() -> None:
-    """With gravity along −y, servo 0 has no load in the middle; the others have opposite loads."""
-    middle = np.asarray(Delta(DeltaGeometry()).inverse((0.0, 0.0, 0.05)).angles)
-    first, second, third = loads_at(middle[None], ServoTask(gravity=GRAVITY))[0]
-    assert first == pytest.approx(0.0, abs=1e-9)
-    assert second == pytest.approx(-third)
-    assert math.copysign(1.0, second) == -1.0

@@ -29,7 +29,6 @@ from deltacharger_ros.messages import CODES, to_outcome
 from deltacharger_ros.outcomes import DockRequest, Pose
 
 from ..chargers import DEADLINE, wait_until
-from ..marks import rest
 from ..nodes import options
 
 pytestmark = pytest.mark.ros
@@ -184,13 +183,6 @@ def test_a_callers_unanswered_goal_is_lost(serve: Callable[..., Server], context
     assert ends == [(7, LOST, None, None)]
     assert caller.is_settled
     spinner.close(caller)
-
-
-@pytest.mark.parametrize("drops", [rest({"goal": 1}), rest({"result": 1})], ids=str)
-def test_a_lost_response_is_requested_again(answering: Answering, client: ChargerClient, drops: dict[str, int]) -> None:
-    server = answering(**drops)
-    assert client.dock(GOAL, deadline=DEADLINE).success
-    assert server.dropped == sum(drops.values())
 
 
 def test_a_result_that_was_lost_after_hours_is_requested_within_a_minute(monkeypatch: pytest.MonkeyPatch) -> None:

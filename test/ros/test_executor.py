@@ -18,7 +18,6 @@ from deltacharger.action import Dock
 from rclpy.action import ActionClient, ActionServer
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.node import Node
-from std_msgs.msg import Int64
 from std_srvs.srv import Trigger
 
 from deltacharger_ros.executor import Spinner, order_age, serving
@@ -172,26 +171,6 @@ def test_goals_wait_concurrently_and_are_answered(node: Node, serve: Serve, slow
 
 
 @pytest.mark.version
-def test_messages_are_served_in_order_during_a_slow_service(node: Node, serve: Serve, slow: Slow) -> None:
-    received: list[int] = []
-    group = ReentrantCallbackGroup()
-    node.create_service(Trigger, "service", slow.serve, callback_group=group)
-    client: Any = node.create_client(Trigger, "service", callback_group=group)
-    node.create_subscription(Int64, "topic", lambda message: received.append(message.data), 100, callback_group=group)
-    publisher = node.create_publisher(Int64, "topic", 100)
-    wait_until(publisher.get_subscription_count, "the subscription")
-    serve()
-    assert client.wait_for_service(DEADLINE)
-    future = client.call_async(Trigger.Request())
-    slow.wait_for(1)
-    for number in range(50):
-        publisher.publish(Int64(data=number))
-    wait_until(lambda: len(received) == 50, "every message")
-    assert received == list(range(50))
-    assert not future.done()
-
-
-@pytest.mark.version
 def test_an_action_client_may_be_created_while_its_node_is_served(node: Node, monkeypatch: pytest.MonkeyPatch) -> None:
     add, came = Node.add_waitable, threading.Event()
 
@@ -252,21 +231,6 @@ def test_the_shutdown_of_ros_ends_the_spinner(namespace: str) -> None:
     rclpy.shutdown(context=own)
     assert ended(spinner)
     spinner.close()
-
-
-def test_callbacks_work_while_a_node_closes(context: Any, namespace: str) -> None:
-    class Subject(Node):
-        answered = ""
-
-        def close(self) -> None:
-            self.answered = call(self.create_client(Trigger, "service"), Trigger.Request()).message
-
-    node = Subject("subject", **options(context, namespace))
-    node.create_service(Trigger, "service", quick, callback_group=ReentrantCallbackGroup())
-    spinner = Spinner(node)
-    spinner.close()
-    assert node.answered == "quick"
-    assert not spinner.is_alive()
 
 
 @pytest.mark.rest

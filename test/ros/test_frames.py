@@ -17,7 +17,7 @@ from builtin_interfaces.msg import Time as Stamp
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 
-from deltacharger_core.frames import IDENTITY, Pose, TransformParameters, apart, composed, inverted
+from deltacharger_core.frames import IDENTITY, Pose, TransformParameters, apart, composed
 from deltacharger_docking.parameters import DockingNodeParameters
 from deltacharger_docking.ros.messages import electrodes
 from deltacharger_ros import frames as frames_module
@@ -240,14 +240,6 @@ def test_without_tf_nothing_waits_after_the_start_and_base_pose_is_logged_once(
     node.destroy_node()
 
 
-def test_waiting_ends_when_the_node_closes(robot: Robot, make: Make) -> None:
-    frames = make(timeout=PATIENCE)
-    with asking(frames, "map") as found:
-        frames.close()
-    assert "shutting down" in str(found[0])
-    assert not isinstance(found[0], UnknownFrame), "it may come back"
-
-
 def test_the_error_names_a_broken_tf2_ros_and_charger_base_still_works(
     make: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -282,25 +274,3 @@ def test_a_base_pose_that_contradicts_tf_is_an_error_but_rounding_is_not(robot: 
         with pytest.raises(Contradiction, match=r"0\.31 -0\.02 0\.52 .*0\.31 -0\.02 0\.42 "):
             frames.charger_base_in(frame)
     assert frames.charger_base_in("charger_base") == IDENTITY
-
-
-def test_a_mount_in_millimetres_is_refused(robot: Robot, make: Make) -> None:
-    frames = make(mounted=False)
-    robot.fix("base_link", "charger_base", (310.0, -20.0, 420.0, 0.5, 0.5, 0.5, 0.5))
-    wait_until(lambda: frames._tf.knows("charger_base"), "tf")  # type: ignore[union-attr]
-    with pytest.raises(Contradiction, match=r"310\.0 is outside .* in millimetres\? .*correct the URDF"):
-        frames.charger_base_in("base_link")
-
-
-def test_two_chargers_of_one_robot_have_separate_frames(robot: Robot, make: Make) -> None:
-    left, right = make("left/", mounted=False), make("right/", mounted=False)
-    other: Pose = (-0.31, 0.0, 0.42, 0.5, 0.5, -0.5, -0.5)
-    robot.fix("base_link", "left/charger_base", MOUNT)
-    robot.fix("base_link", "right/charger_base", other)
-    for frames, own, pose in ((left, "left/charger_base", MOUNT), (right, "right/charger_base", other)):
-        assert frames.charger_base == own
-        assert frames.charger_base_in(own) == IDENTITY
-        await_pose(frames, "base_link", pose)
-    with pytest.raises(UnknownFrame, match=r"'charger_base'.*left/charger_base"):
-        left.charger_base_in("charger_base")
-    assert close(left.charger_base_in("right/charger_base"), composed(inverted(other), MOUNT))

@@ -181,14 +181,6 @@ def test_an_integer_is_accepted_for_a_float(subject: Subject) -> None:
     assert "Wrong parameter type" in subject.each(high=True)[0]
 
 
-def test_coupled_values_must_be_set_together(subject: Subject) -> None:
-    assert "low must not lie above high" in subject.each(low=0.7)[0]
-    assert subject.values_now()["low"] == 0.4
-    assert subject.together(low=0.9, high=1.0) == ""
-    assert "low must not lie above high" in subject.together(low=1.0, high=0.9)
-    assert subject.taken[-1] == Band(low=0.9, high=1.0)
-
-
 @pytest.mark.parametrize(
     ("values", "reason"),
     [

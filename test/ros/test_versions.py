@@ -37,17 +37,6 @@ def refused(process: subprocess.CompletedProcess[str]) -> str:
 
 @pytest.mark.rest
 @pytest.mark.ros
-def test_a_node_refuses_an_older_ros(tmp_path: Path) -> None:
-    """Called like the script that pip and colcon write for it."""
-    process = on_older_ros(
-        tmp_path, "-c", "import sys; from deltacharger_scenes.executables import docking_node; sys.exit(docking_node())"
-    )
-    refused(process)
-    assert not process.stdout
-
-
-@pytest.mark.rest
-@pytest.mark.ros
 def test_a_command_refuses_an_older_ros(tmp_path: Path) -> None:
     process = on_older_ros(tmp_path, "-m", "deltacharger_bringup.cli", "dock", "--scene", "mocks", "--json")
     line = refused(process)
