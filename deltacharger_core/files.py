@@ -23,14 +23,6 @@ MEGABYTE = 2**20
 LARGEST_TEXT = MEGABYTE
 """Maximum bytes of a hand-written file and of JSON."""
 _BLOCK = MEGABYTE
-_KINDS = {
-    stat.S_IFDIR: "a folder",
-    stat.S_IFLNK: "a link",
-    stat.S_IFIFO: "a pipe",
-    stat.S_IFSOCK: "a socket",
-    stat.S_IFCHR: "a device",
-    stat.S_IFBLK: "a device",
-}
 _brief = reprlib.Repr()
 _brief.maxstring = _brief.maxother = 80
 _brief.maxlong = 40
@@ -83,14 +75,9 @@ def open_file(path: str | Path, largest: int) -> BinaryIO:
 
 def _check(path: str | Path, found: os.stat_result, largest: int) -> None:
     if not stat.S_ISREG(found.st_mode):
-        raise FileRefused(path, f"it is {kind_text(found.st_mode)}; give the path of a file")
+        raise FileRefused(path, "it is a folder, pipe, socket or device; give the path of a file")
     if found.st_size > largest:
         raise FileRefused(path, f"it has {size_text(found.st_size)}, more than the {size_text(largest)} allowed")
-
-
-def kind_text(mode: int) -> str:
-    """Return the name of a file type that is no regular file, for messages."""
-    return _KINDS.get(stat.S_IFMT(mode), "no file")
 
 
 def size_text(count: int) -> str:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import io
 import os
-import shlex
 import zlib
 from collections import Counter
 from collections.abc import Generator, Iterator
@@ -33,7 +32,10 @@ _LARGEST_SUMMARY = 16 * 2**20  # bytes; at 80 bytes a chunk, 200 000 chunks
 _LONGEST = 300  # characters of a reason
 _NAMED_MAX = 5  # files of a folder named in an error
 _ZSTANDARD = b"\x28\xb5\x2f\xfd"  # begins compressed data; CDR begins with 0
-_FOREIGN = {b"SQLite format 3\0": "is a bag in SQLite (db3)", _ZSTANDARD: "is compressed as a whole (zstd)"}
+_CONVERT = (
+    "convert a bag in SQLite (db3) or with compressed messages or files (zstd) by `rosbags-convert --src BAG --dst NEW "
+    "--dst-storage mcap` (pip install rosbags)"
+)
 
 
 class RecordingError(Picklable, RuntimeError):
@@ -101,14 +103,10 @@ class McapFile:
         with open_file(path, LARGEST_FILE) as stream:
             if not os.fstat(stream.fileno()).st_size:
                 raise RecordingError(f"{path} is empty: its recorder stopped before it wrote anything")
-            begin = stream.read(max(map(len, _FOREIGN)))
-        for magic, what in _FOREIGN.items():
-            if begin.startswith(magic):
-                raise RecordingError(f"{path} {what}: {_conversion(path)}")
         if not self._read_index():
             self._scan()
         if self._begins_compressed():
-            raise RecordingError(f"{path} holds compressed messages (zstd): {_conversion(path)}")
+            raise RecordingError(f"{path} holds compressed messages: {_CONVERT}")
 
     def metadata_named(self, name: str) -> list[dict[str, str]]:
         """Return all metadata with this name."""
@@ -171,7 +169,7 @@ class McapFile:
                     self.last = max(self.last, record.log_time)
         except DamagedRecording as error:
             if not begun:
-                raise RecordingError(f"{self.path} is no MCAP file") from error
+                raise RecordingError(f"{self.path} is no MCAP file: {_CONVERT}") from error
             self.damage = error.reason
 
     def _begins_compressed(self) -> bool:
@@ -286,13 +284,6 @@ def _only_recording(folder: Path) -> Path:
     names = ", ".join(path.name for path in found[:_NAMED_MAX])
     more = " …" if len(found) > _NAMED_MAX else ""
     raise RecordingError(f"{folder} holds {len(found)} recordings: give one of its files, {names}{more}")
-
-
-def _conversion(path: Path) -> str:
-    """Return what to do with a bag that this package does not read."""
-    bag = path.parent if (path.parent / "metadata.yaml").is_file() else path
-    command = f"rosbags-convert --src {shlex.quote(str(bag))} --dst NEW --dst-storage mcap"
-    return f"convert it to MCAP with `{command}` (pip install rosbags)"
 
 
 def require_mcap() -> None:

@@ -68,11 +68,11 @@ class Declaration:
     choices: tuple[str, ...] = ()
     tunable: bool = False
 
-    def description(self, form: str = "{text} ({unit})") -> str:
-        """Return the text with its unit, appended in this form unless the text contains it."""
+    def description(self) -> str:
+        """Return the text with its unit, appended in brackets unless the text contains it."""
         if "{unit}" in self.text:
             return self.text.replace("{unit}", self.unit)
-        return form.format(text=self.text, unit=self.unit) if self.unit else self.text
+        return f"{self.text} ({self.unit})" if self.unit else self.text
 
     def problem(self, value: Any) -> str:
         """Return the error in a value; '' = none."""

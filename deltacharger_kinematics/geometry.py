@@ -127,11 +127,6 @@ class DeltaGeometry(Bounded):
         if not isinstance(self.limbs, tuple) or [type(limb) for limb in self.limbs] != LIMB_COUNT * [LimbAdjustment]:
             raise ParameterError("limbs", self.limbs, f"{brief(self.limbs)}: give a tuple of three LimbAdjustment")
 
-    @property
-    def radius_difference(self) -> float:
-        """base_radius − platform_radius, D of the formulas (m)."""
-        return self.base_radius - self.platform_radius
-
     def limb(self, index: int) -> Limb:
         """Return the dimensions of limb `index` (0, 1 or 2) with its adjustment applied."""
         own = self.limbs[index]

@@ -8,7 +8,7 @@ import math
 import threading
 import time
 from collections.abc import Callable
-from typing import Any, Protocol, TypeAlias
+from typing import Any, TypeAlias
 
 from rclpy.action.server import ActionServer, CancelResponse, GoalResponse, ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -24,18 +24,6 @@ GoalHandle: TypeAlias = "ServerGoalHandle[Any, Any, Any]"  # a string, because J
 KEPT = 3600  # s that a result is kept for a client that was away; rcl names each kept goal in every status message
 _CHECK_PERIOD = 1.0  # s between checks whether a goal is still served
 _SEND_TIME = 0.1  # s for the result to leave: rclpy sends it later, from another thread, without notice
-
-
-class Ended(Protocol):
-    """End of a piece of work."""
-
-    @property
-    def success(self) -> bool:
-        """Whether it succeeded."""
-
-    @property
-    def canceled(self) -> bool:
-        """Whether it ended because a client cancelled it."""
 
 
 class Work:
@@ -59,8 +47,8 @@ class Work:
         self._last_news: object = None
         self._fed_back_at = -math.inf
 
-    def end(self, outcome: Ended) -> None:
-        """Answer all waiting goals."""
+    def end(self, outcome: Any) -> None:
+        """Answer all waiting goals; `outcome` has `success` and `canceled`."""
         self.outcome = outcome
         self.done.set()
 
@@ -109,7 +97,7 @@ class WorkServer:
         name: str,
         begin: Callable[[GoalHandle], Work],
         is_served: Callable[[Work], bool],
-        outcome: Callable[[Exception], Ended],
+        outcome: Callable[[Exception], Any],
         refusals: type[Exception],
         result: Callable[[Any, Any], Any],
         may_cancel: Callable[[GoalHandle], bool] = lambda handle: True,

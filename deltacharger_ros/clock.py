@@ -22,7 +22,6 @@ ANOTHER_CLOCK = 1e6
 """s; a stamp this old, or this far ahead, is from another clock."""
 _RESTS = 0.1  # s of real time without a step until /clock is reported; a simulator steps at least 50 times a second
 _BACK = 0.1  # s, smallest step back that is reported
-_LOOK = 0.1  # s between checks whether the node follows /clock
 _REMEMBERED = 2.0  # s that a step back is reported
 
 
@@ -55,10 +54,7 @@ def steady_timer(node: Node, period: float, callback: Callable[[], None]) -> Any
 
 
 class Stamps:
-    """Converts times from the monotonic clock to a node's clock; used by one thread.
-
-    Reading ROS time costs as much as filling a message, so it is read for each stamp only if the node follows /clock,
-    whose rate is arbitrary.
+    """Converts times from the monotonic clock to a node's clock.
 
     Args:
         clock: clock of the node.
@@ -67,15 +63,13 @@ class Stamps:
 
     def __init__(self, clock: Clock, host: HostClock = HOST) -> None:
         self._clock, self._host = clock, host
-        self._follows = False
-        self._due = -1.0
 
     def at(self, instant: float) -> Stamp:
         """Return the stamp of `instant` (s, monotonic)."""
-        if (now := self._host.now()) >= self._due:
-            self._due, self._follows = now + _LOOK, follows(self._clock)
         # An interruption between the clocks makes the stamp older, not younger.
-        lead = int(self._clock.now().nanoseconds - 1e9 * self._host.now()) if self._follows else self._host.lead()
+        lead = (
+            int(self._clock.now().nanoseconds - 1e9 * self._host.now()) if follows(self._clock) else self._host.lead()
+        )
         sec, nanosec = divmod(max(int(instant * 1e9) + lead, 0), 1_000_000_000)
         return Stamp(sec=sec, nanosec=nanosec)
 

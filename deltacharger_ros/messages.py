@@ -15,19 +15,13 @@ from std_msgs.msg import Header
 from deltacharger_core.frames import END_EFFECTOR, lean, rotation
 from deltacharger_ros.outcomes import Outcome, Pose, Progress
 
-_CODE_NAMES = """
-    NONE REJECTED CANCELED TIMEOUT DUPLICATE_SOURCE ELECTRODES_NOT_FOUND DETECTION_STALE UNREACHABLE NO_CONTACT
-    OVERCURRENT SERVO_FAULT STUCK TARGET_ROLLS SERVO_STALE NO_TACTILE_CONTACT TACTILE_STALE CRITICAL_ANGLE
-    ESTIMATE_UNSURE MISALIGNED LEANING NO_CHARGE_CURRENT SHORT_CIRCUIT POWER_STALE REVERSE_POLARITY
-    VOLTAGE_OUT_OF_RANGE REVERSE_CURRENT CONTACTOR_WELDED INTERNAL
-"""
 _AXES = ("horizontal", "vertical", "angle")
-_STATE_NAMES = "IDLE LOCATE APPROACH BACK_OFF CONTACT MEASURE ALIGN ENERGISE CHARGING RETRACT"
-
-CODES: dict[int, str] = {getattr(Dock.Result, name): name for name in _CODE_NAMES.split()}
+_CODES = (name for name in dir(type(Dock.Result)) if name.isupper() and "__" not in name and name[0] != "_")
+CODES: dict[int, str] = {getattr(Dock.Result, name): name for name in _CODES}
 """Names of the result codes."""
 
-PHASES: dict[int, str] = {getattr(Dock.Feedback, f"STATE_{name}"): name.lower() for name in _STATE_NAMES.split()}
+_STATES = (name for name in dir(type(Dock.Feedback)) if name.startswith("STATE_"))
+PHASES: dict[int, str] = {getattr(Dock.Feedback, name): name.removeprefix("STATE_").lower() for name in _STATES}
 """Names of the states, lower case."""
 
 

@@ -27,7 +27,7 @@ _OF_EVERY_NODE = {"use_sim_time", "start_type_description_service"}
 _WIDER = {Parameter.Type.INTEGER: Parameter.Type.DOUBLE, Parameter.Type.INTEGER_ARRAY: Parameter.Type.DOUBLE_ARRAY}
 
 
-def declare_all(node: Node, table: type[T], defaults: Any = None, form: str = "{text} ({unit})", prefix: str = "") -> T:
+def declare_all(node: Node, table: type[T], defaults: Any = None, prefix: str = "") -> T:
     """Declare every parameter of a class on the node, and return their values.
 
     Integers are accepted for floats, because ROS reads `rate:=50` and YAML's `rate: 50` as integers.
@@ -36,7 +36,6 @@ def declare_all(node: Node, table: type[T], defaults: Any = None, form: str = "{
         node: owner of the parameters.
         table: a parameter class without groups.
         defaults: object with attributes of the same names, in place of the class's defaults.
-        form: format of the descriptions, see `Declaration.description`.
         prefix: of the parameters' names on the node, for one of several of this class.
 
     Raises:
@@ -46,14 +45,14 @@ def declare_all(node: Node, table: type[T], defaults: Any = None, form: str = "{
     for each in declared(table):
         default = each.default if defaults is None else getattr(defaults, each.name)
         named = replace(each, name=prefix + each.name)
-        values[each.name] = _declare(node, named, default, each.description(form))
+        values[each.name] = _declare(node, named, default, each.description())
     try:
         return table(**values)
     except ParameterError as error:
         raise _refusal(node, prefix + error.key, error.problem) from error
 
 
-def declare_with_servos(node: Node, defaults: T, follows: Mapping[str, str], form: str = "{text} ({unit})") -> T:
+def declare_with_servos(node: Node, defaults: T, follows: Mapping[str, str]) -> T:
     """Declare every parameter of an object's class; those of its servos take their values from `servos_file`.
 
     With a `servos_file` its values are used and shown in the parameters. A parameter that is given as well must have
@@ -63,18 +62,17 @@ def declare_with_servos(node: Node, defaults: T, follows: Mapping[str, str], for
         node: owner of the parameters.
         defaults: of a parameter class without groups.
         follows: parameter name to key in the file, for the parameters that the file sets.
-        form: format of the descriptions, see `Declaration.description`.
 
     Raises:
         StartupError: the file is missing or invalid, a value is out of range, or a given parameter differs.
     """
     servos = declare_file(node, ServosFileParameters, lambda path: read_declared(path, MeasuredServos))
     if servos is None:
-        return declare_all(node, type(defaults), defaults, form)
+        return declare_all(node, type(defaults), defaults)
     file = node.get_parameter("servos_file").value
     measured = {name: getattr(servos, key) for name, key in follows.items()}
     try:
-        given = declare_all(node, type(defaults), replace(defaults, **measured), form)  # type: ignore[type-var]
+        given = declare_all(node, type(defaults), replace(defaults, **measured))  # type: ignore[type-var]
     except (StartupError, ValueError) as error:
         raise StartupError(f"{error} (servos_file '{file}')") from error
     for name, value in measured.items():

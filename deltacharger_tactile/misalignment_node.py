@@ -79,7 +79,7 @@ class MisalignmentNode(Node):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("misalignment_node", **kwargs)
         self._log = Log(self)
-        given = declare_all(self, MisalignmentNodeParameters, form="{text}, {unit}.")
+        given = declare_all(self, MisalignmentNodeParameters)
         self._frame_id = declare_all(self, FrameParameters).named(END_EFFECTOR)
         reject_unknown(self)
         self._given = given

@@ -36,7 +36,6 @@ from deltacharger_kinematics.calibration.calibrate import (
     GeometryCalibration,
     Uncertainty,
     calibrate,
-    describe,
     named,
     numbers,
     rms,
@@ -127,7 +126,6 @@ def _fit(options: argparse.Namespace) -> Result:
         "rows": len(found.measurements),
         "rms": {"before": rms(found.before), "after": rms(found.fit.residuals)},
         "held_out": {"lines": _lines(found, np.flatnonzero(found.held_out)), "before": before, "after": after},
-        "expected": {"rms": found.expected[0], "largest": found.expected[1]},
         "scatter": found.fit.scatter,
         "outliers": _lines(found, np.flatnonzero(found.outliers)),
         "geometry": geometry_to_mapping(found.fit.geometry),
@@ -182,18 +180,13 @@ def _header(options: argparse.Namespace, found: GeometryCalibration, lines: Sequ
 def _as_text(found: GeometryCalibration) -> str:
     count, kept = len(found.measurements), int(found.held_out.sum())
     before, after = found.held_out_rms
-    values = found.fit.singular_values
     lengths = np.linalg.norm(found.fit.residuals, axis=1)
     worst = ", ".join(f"line {found.measurements.lines[row]} {_mm(lengths[row])}" for row in _worst(found))
-    held = f", {(values < 1.0).sum()} of 18 below 1: the tolerances decide there" if (values < 1.0).any() else ""
     rows = [
         ("all rows", f"{count}: rms {_mm(rms(found.before))} mm before, {_mm(rms(found.fit.residuals))} mm after"),
         ("held out", f"{kept} of them: rms {_mm(before)} mm before, {_mm(after)} mm after a fit to the others"),
-        ("expected", f"{_mm(found.expected[0])} mm rms over the workspace, {_mm(found.expected[1])} mm at worst (1 σ)"),
         ("scatter", f"{found.fit.scatter:.2f} of what measurement and encoder explain{_scatter_hint(found)}"),
         ("residuals", f"largest, mm: {worst}"),
-        ("singular", f"{' '.join(f'{value:.3g}' for value in values)}{held}"),
-        ("weakest", describe(found.fit.weakest)),
     ]
     return "\n".join([*_table(found), "", *(f"{name:<10} {text}" for name, text in rows)])
 

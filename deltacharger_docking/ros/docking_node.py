@@ -82,7 +82,7 @@ class DockingNode(Node):
         super().__init__("docking_node", **kwargs)
         robot, transforms = declare_all(self, DockingNodeParameters), declare_all(self, TransformParameters)
         defaults = DockingParameters.of(robot.servo)
-        self._settings = declare_with_servos(self, defaults, _SERVOS_FOLLOW, form="{text}, {unit}")
+        self._settings = declare_with_servos(self, defaults, _SERVOS_FOLLOW)
         geometry = declare_file(self, GeometryFileParameters, load_geometry) or DeltaGeometry()
         names = declare_all(self, ProfileNames).target_profiles
         profiles = {name: declare_all(self, TargetProfile, prefix=f"{name}.") for name in names}

@@ -248,7 +248,6 @@ Rows = Mask
 FEWEST_ROWS = COUNT // 3
 _UNOBSERVED = 1e-8  # of the largest singular value; exact degeneracy gives less than 1e-10
 _OUTLIER = 6.0  # times the scatter of the other rows
-_CELLS = 6  # along each edge of the workspace box, for means over the box
 _MEDIAN_LENGTH = 1.538  # median length of three standard normal numbers
 
 
@@ -260,18 +259,13 @@ class GeometryFit:
         geometry: the fitted geometry.
         residuals: (n, 3) m, measured minus predicted.
         covariance: (18, 18) of the fitted numbers, in units of their tolerances.
-        singular_values: (18,) descending, of the data without the prior: change in standard deviations of the
-            measurements per change by one tolerance. Below 1 the tolerance dominates the data.
-        weakest: (18,) unit vector, in tolerances, of the last singular value.
         scatter: scatter of the residuals relative to the stated uncertainties; 1 = as stated. Above 1 it has widened
-            the standard deviations of the measurements, also in covariance and singular values.
+            the standard deviations of the measurements, also in the covariance.
     """
 
     geometry: DeltaGeometry
     residuals: Array
     covariance: Array
-    singular_values: Array
-    weakest: Array
     scatter: float
 
 
@@ -288,7 +282,6 @@ class GeometryCalibration:
         held_out: (n,) mask of the held-out rows.
         held_out_after: (n held out, 3) m, measured minus predicted by a fit to the other rows.
         outliers: (n,) mask of rows that contradict the others.
-        expected: (rms, largest) m over the workspace box: 1σ of the distance between predicted and true position.
     """
 
     nominal: DeltaGeometry
@@ -299,7 +292,6 @@ class GeometryCalibration:
     held_out: Rows
     held_out_after: Array
     outliers: Rows
-    expected: tuple[float, float]
 
     @property
     def standard_deviations(self) -> Array:
@@ -359,7 +351,6 @@ def calibrate(
         rows,
         errors(judged.geometry, measurements.subset(rows)),
         find_outliers(measurements, nominal, uncertainty),
-        _expected(final, nominal, uncertainty),
     )
 
 
@@ -394,8 +385,6 @@ def fit(measurements: Measurements, nominal: DeltaGeometry, uncertainty: Uncerta
         problem.geometry(x),
         measurements.positions - problem.predict(x),
         directions.T * (1.0 - from_data) @ directions,
-        values,
-        directions[-1],
         scatter,
     )
 
@@ -432,16 +421,3 @@ def _draw(count: int, share: float, seed: int) -> Rows:
     rows = np.zeros(count, dtype=bool)
     rows[np.random.default_rng(seed).permutation(count)[: max(1, round(share * count))]] = True
     return rows
-
-
-def _expected(fit: GeometryFit, nominal: DeltaGeometry, uncertainty: Uncertainty) -> tuple[float, float]:
-    """Return the standard deviation (m) of a predicted position: rms over the workspace box, and maximum in it."""
-    low, high = np.array(nominal.workspace_min), np.array(nominal.workspace_max)
-    cells = (np.arange(_CELLS) + 0.5) / _CELLS
-    shares = [np.stack(np.meshgrid(*[along] * 3), axis=-1).reshape(-1, 3) for along in (cells, np.array([0.0, 1.0]))]
-    angles = Delta(nominal).inverse(low + (high - low) * np.concatenate(shares)).angles
-    x = (numbers(fit.geometry) - numbers(nominal)) / uncertainty.tolerances
-    slope = Problem(Measurements(np.zeros_like(angles), angles, None, ()), nominal, uncertainty).sensitivity(x)
-    deviation = np.sqrt(np.einsum("nij,jk,nik->n", slope, fit.covariance, slope))
-    inside = deviation[: len(shares[0])]  # without the corners, which have the largest deviation but no volume
-    return math.sqrt(float(np.nanmean(inside**2))), float(np.nanmax(deviation))

@@ -102,7 +102,7 @@ class MissionNode(Node):
     def __init__(self, **kwargs: Any) -> None:
         self._closed = True  # nothing to cancel before the node is complete
         super().__init__("mission_node", **kwargs)
-        self._given = given = declare_all(self, MissionParameters, form="{text}, {unit}")
+        self._given = given = declare_all(self, MissionParameters)
         transforms = declare_all(self, TransformParameters)
         reject_unknown(self)
         try:

@@ -54,7 +54,7 @@ def test_a_fit_reports_its_quality_and_writes_a_geometry(capsys: Capture, data: 
     assert out.read_text(encoding="utf-8") == "mine"
     code, text, err = run(capsys, *FIT, data, "--out", out, "--force")
     assert (code, str(out) in err) == (0, True), err
-    for word in ("limb 0", "held out", "expected", "scatter", "line ", "singular", "weakest"):
+    for word in ("limb 0", "held out", "scatter", "line "):
         assert word in text
     assert max(map(len, text.splitlines())) <= 120
     geometry = load_geometry(out)

@@ -83,6 +83,5 @@ def test_declarations_provide_name_bounds_default_and_text() -> None:
     stiffness = known["arm.spring.stiffness"]
     assert (stiffness.default, stiffness.low, stiffness.high, stiffness.kind) == (15.0, 2.5, 20.0, float)
     assert stiffness.description() == "of the joint (N·m/rad)"
-    assert stiffness.description("{text}, {unit}") == "of the joint, N·m/rad"
     assert known["arm.limit"].description() == "A at most; none = whatever comes"
     assert known["arm.mode"].choices == ("soft", "stiff")

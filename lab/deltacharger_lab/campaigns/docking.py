@@ -109,7 +109,7 @@ def columns(scene: CampaignScene) -> dict[str, tuple[type, str]]:
         found[f"gravity_{axis}"] = (float, "gravity, charger_base, m/s²")
     for name in scene.drawn():
         key = known_keys()[name]
-        found[name] = (key.kind, key.description("{text}, {unit}"))
+        found[name] = (key.kind, key.description())
     return found | RESULTS | (judge.COLUMNS if scene.hostile else targets.COLUMNS if scene.targets else {})
 
 

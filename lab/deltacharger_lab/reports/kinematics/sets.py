@@ -69,7 +69,7 @@ def interior(geometry: DeltaGeometry, rng: np.random.Generator, count: int) -> P
 
 def wide(geometry: DeltaGeometry, rng: np.random.Generator, count: int) -> PointSet:
     """Return points of the complete volume that all three limbs reach, also behind the motors."""
-    span = abs(geometry.radius_difference) + geometry.arm + geometry.rod
+    span = abs(geometry.base_radius - geometry.platform_radius) + geometry.arm + geometry.rod
     low, high = np.array([-span, -span, -geometry.z_offset - span]), np.array([span, span, span - geometry.z_offset])
 
     def draw(size: int) -> Array:
