@@ -153,7 +153,7 @@ class VirtualCharger:
         self._frame = np.zeros((PADS, ROWS, COLUMNS))
         self._frame_at = -math.inf
         stiffness, damping = self.parameters.servo_stiffness, SERVO_DAMPING
-        gains = round(stiffness / STIFFNESS_PER_GAIN), 0, round(damping / DAMPING_PER_GAIN)
+        gains = round(stiffness / STIFFNESS_PER_GAIN), round(damping / DAMPING_PER_GAIN)
         settings = BusSettings("", gains=gains, torque_constant=self.parameters.torque_constant)
         self._watch = JointWatch(settings, settings.drive(MX_64))
         self._stopped, self._stop_at = "", math.inf  # why and until when servo_node stops the arm
