@@ -38,6 +38,26 @@ class Babbler:
         return math.inf
 
 
+def use_protocol_1(servos: ServoBusEmulator, servo: int) -> None:
+    """Give a servo old firmware, which answers a ping and a read of its model number in Protocol 1.0."""
+    receive = servos.receive
+    servos.faults.missing.add(servo)
+
+    def receive_both(data: bytes, now: float) -> bytes:
+        replies = receive(data, now)
+        for code, parameters, answer in ((1, b"", b""), (2, b"\0\2", (310).to_bytes(2, "little"))):
+            if _packet_1(servo, code, parameters) in data:
+                replies += _packet_1(servo, 0, answer)
+        return replies
+
+    servos.receive = receive_both  # type: ignore[method-assign]
+
+
+def _packet_1(servo: int, code: int, parameters: bytes) -> bytes:
+    body = bytes((servo, len(parameters) + 2, code)) + parameters
+    return b"\xff\xff" + body + bytes((~sum(body) & 0xFF,))
+
+
 def written(servos: ServoBusEmulator) -> dict[tuple[int, str], int]:
     """Every writable register of each servo."""
     return {

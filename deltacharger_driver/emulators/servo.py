@@ -240,18 +240,15 @@ class ServoFirmware:
 
     Attributes:
         table: its registers.
-        protocol: 2, or 1 to emulate old firmware, which answers only pings and reads of its model number.
         supply_limit: upper limit of the supply, V, whatever the plant returns; inf = none.
     """
 
     def __init__(self, plant: ServoPlant, index: int, servo: int, kind: ServoType = MX_64) -> None:
         self.table = ControlTable(servo, kind=kind)
         self._kind, self._usual = kind, kind.gains
-        self.protocol = 2
         self.supply_limit = math.inf
         self._plant = plant
         self._index = index
-        self._registered: tuple[int, bytes] | None = None
         self._silent_until = -math.inf
         self._heard = -math.inf
         self._reference = 0.0  # rad, goal of the position loop
@@ -305,21 +302,6 @@ class ServoFirmware:
         if error == OK and values:
             self._written(values, bool(was_on), now)
         return error
-
-    def register_write(self, address: int, data: bytes) -> int:
-        """Store a write for the next action instruction."""
-        self._registered = (address, data)
-        self.table.set("registered", 1)
-        return OK
-
-    def action(self, now: float) -> int:
-        """Execute the registered write."""
-        if self._registered is None:
-            return RESULT_FAIL
-        address, data = self._registered
-        self._registered = None
-        self.table.set("registered", 0)
-        return self.write(address, data, now)
 
     def reboot(self, now: float) -> None:
         """Restart: torque off, RAM to defaults, latched errors cleared, no answers for `RESTART_TIME`."""
@@ -390,7 +372,6 @@ class ServoFirmware:
         return moving, (distance <= _IN_POSITION * TICK) | (distance > _NOT_FOLLOWING * TICK) << 3
 
     def _start(self, now: float) -> None:
-        self._registered = None
         self._heard = -math.inf
         self._reference = self.measure(now)
         self.table.set("goal_position", self._ticks(self._reference))

@@ -20,14 +20,12 @@ from deltacharger_core.servo_types import MX_64, ServoType
 from deltacharger_driver.emulators.servo import CHECKSUM, INSTRUCTION, LENGTH, OK, ServoFirmware, ServoPlant
 from deltacharger_driver.errors import DriverError
 from deltacharger_driver.packets import (
-    ACTION,
     BROADCAST,
     HEADER,
     PING,
     PLAIN,
     READ,
     REBOOT,
-    REG_WRITE,
     STATUS,
     SYNC_READ,
     SYNC_WRITE,
@@ -53,27 +51,17 @@ class Instruction:
         code: instruction.
         parameters: unstuffed.
         intact: whether its checksum is right.
-        size: bytes on the wire.
-        protocol: 1 or 2.
     """
 
     servo: int
     code: int
     parameters: bytes
     intact: bool
-    size: int
-    protocol: int = 2
 
 
 def status(servo: int, error: int, parameters: bytes = b"") -> bytes:
     """Return the status packet (Protocol 2.0) of a servo."""
     return servo_packet(servo, bytes((STATUS, error)) + parameters)
-
-
-def status_1(servo: int, error: int, parameters: bytes = b"") -> bytes:
-    """Return the status packet (Protocol 1.0) of a servo."""
-    body = bytes((servo, len(parameters) + 2, error)) + parameters
-    return b"\xff\xff" + body + bytes((~sum(body) & 0xFF,))
 
 
 def _interrupted(body: bytearray) -> bool:
@@ -85,14 +73,9 @@ def _interrupted(body: bytearray) -> bool:
 
 
 class InstructionParser:
-    """Finds instruction packets in a stream of bytes; skips anything else, as a servo does.
+    """Finds instruction packets in a stream of bytes; skips anything else, as a servo does."""
 
-    Attributes:
-        protocol_1: whether to recognise Protocol 1.0 too.
-    """
-
-    def __init__(self, protocol_1: bool = False) -> None:
-        self.protocol_1 = protocol_1
+    def __init__(self) -> None:
         self._buffer = bytearray()
         self._heard = 0.0
 
@@ -123,9 +106,6 @@ class InstructionParser:
                 size = int.from_bytes(buffer[5:7], "little") + 7
                 if 10 <= size <= _LONGEST and not _interrupted(buffer[7:size]):
                     return self._take(size) if len(buffer) >= size else None
-            elif self.protocol_1 and buffer[2] < 0xFD and 2 <= buffer[3] <= 8:
-                size = buffer[3] + 4
-                return self._take_1(size) if len(buffer) >= size else None
             del buffer[0]
 
     def _take(self, size: int) -> Instruction:
@@ -135,13 +115,7 @@ class InstructionParser:
         if STUFFED in packet:
             parameters = packet[7:-2].replace(STUFFED, PLAIN)[1:]
         intact = crc16(packet[:-2]) == int.from_bytes(packet[-2:], "little")
-        return Instruction(packet[4], packet[7], parameters, intact, size)
-
-    def _take_1(self, size: int) -> Instruction:
-        packet = bytes(self._buffer[:size])
-        del self._buffer[:size]
-        intact = (~sum(packet[2:-1]) & 0xFF) == packet[-1]
-        return Instruction(packet[2], packet[4], packet[5:-1], intact, size, protocol=1)
+        return Instruction(packet[4], packet[7], parameters, intact)
 
 
 @dataclass
@@ -153,7 +127,6 @@ class ServoFaults:
         deaf: the servos receive nothing from the host and keep running.
         delay: added before every reply, s.
         rate: fault of `FAULTS` → share of affected replies, 0–1.
-        servos: ids affected by `rate`; empty = all.
         rate_of: id → like `rate`, for one servo and in addition.
     """
 
@@ -161,7 +134,6 @@ class ServoFaults:
     deaf: bool = False
     delay: float = 0.0
     rate: dict[str, float] = field(default_factory=dict)
-    servos: set[int] = field(default_factory=set)
     rate_of: dict[int, dict[str, float]] = field(default_factory=dict)
     _next: Counter[tuple[str, int]] = field(default_factory=Counter)
 
@@ -188,8 +160,7 @@ class ServoFaults:
         if self._next[(fault, servo)] > 0:
             self._next[(fault, servo)] -= 1
             return True
-        shares = [self.rate.get(fault, 0.0)] if not self.servos or servo in self.servos else []
-        shares.append(self.rate_of.get(servo, {}).get(fault, 0.0))
+        shares = self.rate.get(fault, 0.0), self.rate_of.get(servo, {}).get(fault, 0.0)
         return any(share > 0.0 and random_source.random() < share for share in shares)
 
 
@@ -207,33 +178,10 @@ def _damage(fault: str, reply: bytes, random_source: random.Random) -> bytes:
     return random_source.randbytes(5) + reply
 
 
-def collide(first: bytes, second: bytes, random_source: random.Random) -> bytes:
-    """Return what a UART (8N1) receives from two colliding replies: the second starts 1 to 9 bits later, and 0 wins."""
-    line = _bits(first)
-    other = [1] * random_source.randrange(1, 10) + _bits(second)
-    length = max(len(line), len(other))
-    line += [1] * (length - len(line))
-    other += [1] * (length - len(other))
-    return _received([a & b for a, b in zip(line, other, strict=True)])
-
-
-def _bits(data: bytes) -> list[int]:
-    return [bit for byte in data for bit in (0, *(byte >> place & 1 for place in range(8)), 1)]
-
-
-def _received(line: list[int]) -> bytes:
-    """Read bytes from a line; if a stop bit is missing, keep the byte and wait until the line is idle."""
-    found, at = bytearray(), 0
-    line = [*line, *[1] * 10]
-    while at < len(line) - 9:
-        if line[at]:
-            at += 1
-            continue
-        found.append(sum(bit << place for place, bit in enumerate(line[at + 1 : at + 9])))
-        at += 9
-        while at < len(line) and not line[at]:
-            at += 1
-    return bytes(found)
+def collide(first: bytes, second: bytes) -> bytes:
+    """Return what the line carries if a second reply begins a byte after the first: a bit that is 0 in either wins."""
+    pairs = itertools.zip_longest(first, b"\xff" + second, fillvalue=0xFF)
+    return bytes(one & other for one, other in pairs)
 
 
 class ServoBusEmulator:
@@ -244,7 +192,6 @@ class ServoBusEmulator:
     Args:
         plant: their physics; servo i of the bus is servo i of the plant.
         ids: of the servos, in the plant's order.
-        paced: delay bytes by their wire time too, not only by the return delay.
         line_speed: returns the host's speed, bit/s, such as `PseudoTerminal.speed`; servos receive nothing at another
             speed than theirs. None = any.
         seed: of the random faults.
@@ -259,14 +206,12 @@ class ServoBusEmulator:
         self,
         plant: ServoPlant,
         ids: Sequence[int] = SERVO_IDS,
-        paced: bool = False,
         line_speed: Callable[[], int] | None = None,
         seed: int = 0,
         kind: ServoType = MX_64,
     ) -> None:
         self.faults = ServoFaults()
         self.line_speed = line_speed
-        self._paced = paced
         self._lock = threading.RLock()
         self._random = random.Random(seed)
         self._parser = InstructionParser()
@@ -288,27 +233,6 @@ class ServoBusEmulator:
         """Apply `change` between two instructions to the servo at `place` in `ids`, whatever its present id."""
         with self._lock:
             change(self._servos[place])
-
-    def raise_hardware_error(self, servo: int, bits: int) -> None:
-        """Latch hardware error `bits` (registers.HARDWARE_ERRORS) in a servo."""
-        with self._lock:
-            self.servo(servo).raise_error(bits)
-
-    def reboot(self, servo: int, now: float) -> None:
-        """Restart a servo at `now` (s, monotonic), as after a dip of its supply."""
-        with self._lock:
-            self.servo(servo).reboot(now)
-
-    def use_protocol_1(self, servo: int) -> None:
-        """Give a servo Protocol 1.0 firmware."""
-        with self._lock:
-            self.servo(servo).protocol = 1
-            self._parser.protocol_1 = True
-
-    def set_speed(self, servo: int, baud: int) -> None:
-        """Set a servo's baud register (key of SPEEDS), as found from the factory: 1."""
-        with self._lock:
-            self.servo(servo).table.set("baud", baud)
 
     def receive(self, data: bytes, now: float) -> bytes:
         """Take bytes from the host and return the replies that are due at once."""
@@ -344,27 +268,17 @@ class ServoBusEmulator:
         present = [
             servo
             for servo in self._servos
-            if servo.answers(now)
-            and servo.servo not in self.faults.missing
-            and servo.protocol == instruction.protocol
-            and speed in (None, servo.speed)
+            if servo.answers(now) and servo.servo not in self.faults.missing and speed in (None, servo.speed)
         ]
-        start = now + (instruction.size * 10.0 / present[0].speed if self._paced and present else 0.0)
-        if instruction.protocol == 1:
-            replies = _protocol_1(instruction, present)
-        else:
-            replies = self._replies(instruction, present, now)
-        self._send(replies, start)
+        self._send(self._replies(instruction, present, now), now)
 
     def _send(self, replies: list[tuple[ServoFirmware, bytes]], start: float) -> None:
         """Queue replies one after another; replies of servos with the same id collide."""
         for _, group in itertools.groupby(replies, key=lambda item: item[0].servo):
             together = list(group)
             servo = together[0][0]
-            reply = functools.reduce(lambda a, b: collide(a, b, self._random), (each for _, each in together))
+            reply = functools.reduce(collide, (each for _, each in together))
             start += servo.return_delay
-            if self._paced:
-                start += len(reply) * 10.0 / servo.speed
             damaged = self.faults.apply(servo.servo, reply, self._random)
             if damaged:
                 self._outgoing.append((start + self.faults.delay, damaged))
@@ -408,15 +322,8 @@ def _single(servo: ServoFirmware, code: int, data: bytes, now: float) -> tuple[i
         return OK, servo.table.get("model").to_bytes(2, "little") + bytes((servo.table.get("firmware"),))
     if code == READ:
         return servo.read(*_words(data), now) if len(data) == 4 else (LENGTH, b"")
-    if code in (WRITE, REG_WRITE):
-        if len(data) < 3:
-            return LENGTH, b""
-        address = int.from_bytes(data[:2], "little")
-        if code == REG_WRITE:
-            return servo.register_write(address, data[2:]), b""
-        return servo.write(address, data[2:], now), b""
-    if code == ACTION:
-        return servo.action(now), b""
+    if code == WRITE:
+        return (servo.write(int.from_bytes(data[:2], "little"), data[2:], now) if len(data) >= 3 else LENGTH), b""
     if code == REBOOT:
         servo.reboot(now)
         return OK, b""
@@ -447,15 +354,3 @@ def _sync_write(present: list[ServoFirmware], data: bytes, now: float) -> None:
     for at in range(4, len(data) - length, length + 1):
         for servo in _named(present, data[at]):
             servo.write(address, data[at + 1 : at + 1 + length], now)
-
-
-def _protocol_1(instruction: Instruction, present: list[ServoFirmware]) -> list[tuple[ServoFirmware, bytes]]:
-    """Answer a ping, or a read of the model number (310), as a servo with Protocol 1.0 firmware."""
-    for servo in present:
-        if servo.servo != instruction.servo or not instruction.intact:
-            continue
-        if instruction.code == PING:
-            return [(servo, status_1(servo.servo, 0))]
-        if instruction.code == READ and instruction.parameters == b"\0\2":
-            return [(servo, status_1(servo.servo, 0, (310).to_bytes(2, "little")))]
-    return []

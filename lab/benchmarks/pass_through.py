@@ -36,11 +36,14 @@ from deltacharger_sim.world import SharedWorld, World
 
 ANGLES, CURRENTS = (-0.7, -0.5, -0.2), (0.3, 0.3, 0.3)
 ROUNDS = 5
+ON_THE_WIRE = 0.5e-3  # s of instruction and reply at 1 Mbit/s
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 
 
 def new_servos() -> ServoBusEmulator:
-    return ServoBusEmulator(SharedWorld(World(WorldParameters())), paced=True)
+    servos = ServoBusEmulator(SharedWorld(World(WorldParameters())))
+    servos.faults.delay = ON_THE_WIRE
+    return servos
 
 
 @contextlib.contextmanager

@@ -24,7 +24,7 @@ from deltacharger_driver.port_identity import SERVO_SPEEDS, identify
 from deltacharger_driver.ports import PseudoTerminal, open_serial
 from deltacharger_driver.servos.link import ServoLink
 
-from ..emulated_ports import Babbler, written
+from ..emulated_ports import Babbler, use_protocol_1, written
 from ..marks import rest
 from ..plants import BenchArm
 from ..waiting import wait_until
@@ -140,7 +140,7 @@ def test_servos_are_found_at_the_speed_of_each(
     servos: ServoBusEmulator, servo_port: str, speeds: tuple[int, ...]
 ) -> None:
     for servo, speed in enumerate(speeds, 1):
-        servos.set_speed(servo, speed)
+        servos.servo(servo).table.set("baud", speed)
     servos.faults.next_reply("drop", 1)  # a lost reply loses no servo
     before = written(servos)
     found = identify(servo_port)
@@ -154,7 +154,7 @@ def test_servos_are_found_at_the_speed_of_each(
 
 
 def test_old_firmware_is_found(servos: ServoBusEmulator, servo_port: str) -> None:
-    servos.use_protocol_1(3)
+    use_protocol_1(servos, 3)
     found = identify(servo_port, speeds=(1_000_000,))
     assert [(s.servo, s.protocol) for s in found.servos] == [(1, 2), (2, 2), (3, 1)]
     assert "Protocol 1.0" in found.details

@@ -74,7 +74,7 @@ def test_a_missing_servo_and_a_hardware_error_forbid_torque(
     with pytest.raises(NoAnswer, match="servo 1"):
         bus.enable_torque(BOUND)
     emulator.faults.missing = set()
-    emulator.raise_hardware_error(3, OVERLOAD)
+    emulator.servo(3).raise_error(OVERLOAD)
     assert bus.read().hardware_error == (0, 0, OVERLOAD)
     with pytest.raises(ServoFault, match=r"servo 3.*overload") as caught:
         bus.enable_torque(BOUND)
@@ -195,8 +195,7 @@ def test_a_pending_registered_write_is_found_at_the_set_up(closed: ServoBus, emu
 
 
 def test_two_servos_with_one_id_are_suggested_as_a_cause(closed: ServoBus, emulator: ServoBusEmulator) -> None:
-    emulator.faults.servos = {2}
-    emulator.faults.rate["corrupt"] = 1.0
+    emulator.faults.rate_of[2] = {"corrupt": 1.0}
     with pytest.raises(HandshakeError, match="two servos with this id"):
         closed.open()
 

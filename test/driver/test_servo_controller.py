@@ -59,8 +59,8 @@ def test_an_order_that_waited_too_long_is_refused_with_its_age(rig: Rig) -> None
     ("fail", "reason"),
     [
         (lambda rig: rig.emulator.faults.missing.add(2), "servo 2 does not answer"),
-        (lambda rig: rig.emulator.raise_hardware_error(2, OVERLOAD), "overload"),
-        (lambda rig: rig.emulator.reboot(2, rig.clock()), "servo 2"),
+        (lambda rig: rig.emulator.servo(2).raise_error(OVERLOAD), "overload"),
+        (lambda rig: rig.emulator.servo(2).reboot(rig.clock()), "servo 2"),
         (lambda rig: rig.arm.temperature.__setitem__(1, 85.0), "overheating"),
         (lambda rig: rig.arm.voltage.__setitem__(1, 9.0), "voltage"),
     ],
@@ -105,7 +105,7 @@ def test_a_single_lost_reply_does_not_stop_and_keeps_the_last_values(rig: Rig) -
 def test_reboot_is_by_request_only_and_leaves_torque_off(rig: Rig) -> None:
     rig.torque_on()
     assert not rig.ask("reboot").success
-    rig.emulator.raise_hardware_error(1, OVERLOAD)
+    rig.emulator.servo(1).raise_error(OVERLOAD)
     rig.until(lambda report: report.phase is ServoPhase.OFF)
     assert not rig.ask("torque_on").success
     assert rig.cycle().hardware_error[0] == OVERLOAD
@@ -123,7 +123,7 @@ def test_reboot_is_by_request_only_and_leaves_torque_off(rig: Rig) -> None:
 
 
 def test_a_servo_that_restarts_on_its_own_is_configured_again_without_torque(rig: Rig) -> None:
-    rig.emulator.reboot(3, rig.clock())
+    rig.emulator.servo(3).reboot(rig.clock())
     rig.until(lambda report: not report.valid[2])
     rig.until(lambda report: all(report.valid))
     assert rig.emulator.servo(3).table.get("bus_watchdog") == WATCHDOG

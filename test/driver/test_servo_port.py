@@ -40,7 +40,7 @@ def wired(terminal: PseudoTerminal) -> Iterator[ServoLink]:
 
 
 def test_failure_is_absence_not_zero_and_the_error_byte_is_kept(link: ServoLink, emulator: ServoBusEmulator) -> None:
-    emulator.raise_hardware_error(3, 1)
+    emulator.servo(3).raise_error(1)
     assert [error for error, _ in link.sync_read((1, 2, 3), POSITION, 4).values()] == [0, 0, 0x80]
     emulator.faults.missing = {1}
     assert link.sync_read((1,), POSITION, 4) == {}

@@ -136,7 +136,7 @@ def test_speed_and_ids_are_from_the_scene_and_ports_from_the_command_line(
     capsys: Capture, tmp_path: Path, servos: ServoBusEmulator, servo_port: str, board_port: str
 ) -> None:
     for servo in IDS:
-        servos.set_speed(servo, 4)
+        servos.servo(servo).table.set("baud", 4)
     scene = tmp_path / "robot.yaml"
     scene.write_text(
         f"ports: {{servo: /dev/nothing, board: {board_port}}}\nparameters: {{servo_node: {{baud_rate: 2000000}}}}\n"
@@ -148,7 +148,7 @@ def test_speed_and_ids_are_from_the_scene_and_ports_from_the_command_line(
 
 
 def test_set_baud_from_the_command_line(capsys: Capture, servos: ServoBusEmulator, servo_port: str) -> None:
-    servos.set_speed(2, 1)
+    servos.servo(2).table.set("baud", 1)
     words = ("doctor", "--set-baud", "1000000", "--ids", "1", "2", "3", "--servo-port")
     code, out, err = run(capsys, *words, servo_port)
     assert (code, "ok     servo 2" in out, "servos" in err, servos.servo(2).table.get("baud")) == (0, True, True, 3)
@@ -159,7 +159,7 @@ def test_set_baud_from_the_command_line(capsys: Capture, servos: ServoBusEmulato
 
 @pytest.mark.rest
 def test_servos_connected_to_the_board(capsys: Capture, servos: ServoBusEmulator, one_cable: str) -> None:
-    servos.set_speed(2, 1)
+    servos.servo(2).table.set("baud", 1)
     behind = ("--servo-port", "board", "--board-port", one_cable)
     code, value = answer(capsys, "doctor", *behind)
     assert (code, "servo 2" in by_level(value, "wrong")) == (1, True)

@@ -27,7 +27,7 @@ from deltacharger_driver.port_identity import SERVO_SPEEDS
 from deltacharger_driver.ports import PseudoTerminal, holders
 from deltacharger_driver.servos.registers import WATCHDOG_TRIPPED
 
-from ...emulated_ports import IDS, written
+from ...emulated_ports import IDS, use_protocol_1, written
 from ...plants import BenchArm, BenchPlant
 
 LIKELY = (1_000_000, 57600)
@@ -171,7 +171,7 @@ def test_healthy_servos_are_ok_and_nothing_is_written(
 def test_a_servo_with_factory_speed_is_named_with_the_command_to_fix_it(
     servos: ServoBusEmulator, servo_port: str
 ) -> None:
-    servos.set_speed(2, 1)
+    servos.servo(2).table.set("baud", 1)
     found = servo_findings(servo_port)
     named(found, ("wrong", "servo 2", "57600"))
     named(found, ("wrong", "servo 2", f"doctor --servo-port {servo_port} --set-baud 1000000 --ids 2"))
@@ -179,7 +179,7 @@ def test_a_servo_with_factory_speed_is_named_with_the_command_to_fix_it(
 
 @pytest.mark.rest
 def test_missing_old_and_unknown_servos_are_distinguished(servos: ServoBusEmulator, servo_port: str) -> None:
-    servos.use_protocol_1(1)
+    use_protocol_1(servos, 1)
     servos.servo(3).table.set("id", 9)
     found = servo_findings(servo_port, SERVO_SPEEDS)
     named(found, ("wrong", "servo 1", "firmware"), ("wrong", "servo 3", "does not answer"), ("hint", "servos", "id 9"))
@@ -187,7 +187,7 @@ def test_missing_old_and_unknown_servos_are_distinguished(servos: ServoBusEmulat
 
 
 def test_faults_of_servos_are_reported(servos: ServoBusEmulator, servo_port: str) -> None:
-    servos.raise_hardware_error(1, 1 << 5)
+    servos.servo(1).raise_error(1 << 5)
     servos.servo(2).table.set("torque_enable", 1)
     servos.servo(1).table.set("bus_watchdog", WATCHDOG_TRIPPED)
     servos.servo(3).table.set("current_limit", 298)
@@ -227,7 +227,7 @@ def test_servos_of_every_type_are_good_and_a_mixture_is_named(kind: ServoType) -
 
 def test_set_baud_writes_the_speed_and_torque_off_and_nothing_else(servos: ServoBusEmulator, servo_port: str) -> None:
     for servo in (1, 3):
-        servos.set_speed(servo, 1)
+        servos.servo(servo).table.set("baud", 1)
     servos.servo(1).table.set("torque_enable", 1)
     before = written(servos)
     found = list(set_baud(servo_port, 1_000_000, None, LIKELY))
@@ -238,14 +238,14 @@ def test_set_baud_writes_the_speed_and_torque_off_and_nothing_else(servos: Servo
 
 def test_set_baud_writes_only_the_given_ids(servos: ServoBusEmulator, servo_port: str) -> None:
     for servo in IDS:
-        servos.set_speed(servo, 2)
+        servos.servo(servo).table.set("baud", 2)
     found = list(set_baud(servo_port, 57600, [2, 2, 7], (57600, 115200)))
     assert [(finding.part, finding.level) for finding in found] == [("servo 2", "ok"), ("servo 7", "wrong")]
     assert [servos.servo(servo).table.get("baud") for servo in IDS] == [2, 1, 2]
 
 
 def test_set_baud_does_not_write_to_protocol_1(servos: ServoBusEmulator, servo_port: str) -> None:
-    servos.use_protocol_1(3)
+    use_protocol_1(servos, 3)
     before = written(servos)
     named(set_baud(servo_port, 57600, [3], LIKELY), ("wrong", "servo 3", "nothing was written"))
     assert written(servos) == before
