@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 from deltacharger_core.arrays import ArrayError, read_array
 from deltacharger_core.files import FileRefused, open_file, read_bytes
 from deltacharger_vision.errors import ImageError
-from deltacharger_vision.images import COLOR, DEPTH, Intrinsics, RgbdImage
+from deltacharger_vision.images import Intrinsics, RgbdImage
 
 CAMERA_INFO = "camera_info.yaml"
 """Name of the intrinsics' file in a folder of images."""
 PICTURES = (".png", ".jpg", ".jpeg")
-_DEPTHS = (".png", ".npy")
 _LARGEST = 64 * 2**20  # bytes of a file
 _MOST_PIXELS = 4096 * 4096
 
@@ -30,18 +29,16 @@ class ImageFiles:
 
     Attributes:
         name: their common name.
-        color: PNG or JPEG; None = missing.
+        color: PNG or JPEG.
         depth: PNG or NPY; None = missing.
     """
 
     name: str
-    color: Path | None
+    color: Path
     depth: Path | None
 
     def read(self, intrinsics: Intrinsics) -> RgbdImage:
         """Return the image, without depth if it has none; raises the errors of `read_rgbd`."""
-        if self.color is None:
-            raise ImageError(str(self.depth), "has no colour image of the same name")
         return read_rgbd(self.color, self.depth, intrinsics)
 
 
@@ -132,32 +129,6 @@ def write_picture(path: Path, picture: NDArray[np.uint8]) -> None:
     """
     cv2 = require_opencv()
     path.write_bytes(cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1].tobytes())
-
-
-def images_in(folder: Path) -> list[ImageFiles]:
-    """Return the images of a folder: NAME.color.png, .jpg or .jpeg, with NAME.depth.png or .npy.
-
-    Raises:
-        OSError: the folder cannot be read.
-        ImageError: the folder has no such files, or one name twice.
-    """
-    colors, depths = _named(folder, f".{COLOR}", PICTURES), _named(folder, f".{DEPTH}", _DEPTHS)
-    if not colors and not depths:
-        raise ImageError(str(folder), "holds no images; name them NAME.color.png and NAME.depth.png")
-    return [ImageFiles(name, colors.get(name), depths.get(name)) for name in sorted(colors.keys() | depths.keys())]
-
-
-def _named(folder: Path, ending: str, suffixes: tuple[str, ...]) -> dict[str, Path]:
-    """Return the files of a folder whose names end in `ending` and a suffix, by the rest of the name."""
-    found: dict[str, Path] = {}
-    for path in sorted(folder.iterdir()):
-        if path.suffix.lower() not in suffixes or not path.stem.endswith(ending) or path.name.startswith("."):
-            continue
-        name = path.stem.removesuffix(ending)
-        if name in found:
-            raise ImageError(str(path), f"and {found[name].name} have the same name; keep one of them")
-        found[name] = path
-    return found
 
 
 def _decoded(path: Path) -> NDArray[Any]:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING
 
-from deltacharger_bringup.cli.arguments import DEFAULT_SCENE, integer, scene_option
+from deltacharger_bringup.cli.arguments import DEFAULT_SCENE, scene_option
 from deltacharger_bringup.cli.output import DONE, FAILED, Result, WrongInput, log_line
 from deltacharger_bringup.doctor.environment import RosProbe, examine_settings, examine_versions
 from deltacharger_bringup.doctor.findings import Finding, checked, hint, install, ok, wrong
@@ -30,12 +30,8 @@ def add_doctor(parser: argparse.ArgumentParser) -> None:
     scene_option(parser)
     add("--servo-port", metavar="PORT", help=f"port of the servos, instead of the scene's, or {BEHIND_BOARD}")
     add("--board-port", metavar="PORT", help="port of the board, instead of the scene's")
-    speeds = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
-    text = "write this speed (bit/s) to servos with another speed, torque off; needs --servo-port"
-    add("--set-baud", type=int, choices=speeds, metavar="BAUD", help=text)
     text = "clear a latched weld (fault 7), only after the contactor was replaced; refused while something is live"
     add("--clear-weld", action="store_true", help=text)
-    add("--ids", type=integer(0, 252), nargs="+", metavar="ID", help="for --set-baud (default: all)")
 
 
 @dataclass
@@ -60,11 +56,7 @@ class _Hardware:
 
 
 def doctor(options: argparse.Namespace) -> Result:
-    """Examine everything, or write the servos' speed with --set-baud; print the findings."""
-    if options.set_baud is not None:
-        return _set_baud(options)
-    if options.ids is not None:
-        raise WrongInput("--ids needs --set-baud")
+    """Examine everything; print the findings."""
     hardware = _hardware(options)
     hardware.clear_weld = options.clear_weld
     environment.prepare()
@@ -83,23 +75,6 @@ def doctor(options: argparse.Namespace) -> Result:
         found += checked("camera", lambda: examine_camera(probe.images))
     finally:
         probe.close()
-    return _report(found, hardware)
-
-
-def _set_baud(options: argparse.Namespace) -> Result:
-    if not options.servo_port:
-        raise WrongInput("--set-baud needs --servo-port: give the port of the servos to write")
-    hardware = _Hardware(servo_port=options.servo_port, board_port=options.board_port or "")
-    if options.scene or bool(options.board_port) != hardware.is_one_cable:
-        text = "--set-baud uses --servo-port alone; leave out --scene and --board-port, or give both ports as "
-        raise WrongInput(f"{text}--servo-port {BEHIND_BOARD} --board-port PORT")
-
-    def write(port: str) -> Iterator[Finding]:
-        from deltacharger_bringup.doctor.servos import set_baud
-
-        return set_baud(port, options.set_baud, options.ids)
-
-    found = _examine_servos(hardware, write)
     return _report(found, hardware)
 
 
@@ -172,12 +147,11 @@ def _examine_ports(hardware: _Hardware) -> list[Finding]:
         return [wrong("ports", f"{servo} and {board} are one device", "give two different ports")]
     if servo:
         speed, ids, current = hardware.servo_speed, hardware.ids, hardware.current_max
-        words = f"--servo-port {BEHIND_BOARD} --board-port {board}" if hardware.is_one_cable else ""
 
         def look(port: str) -> Iterator[Finding]:
             from deltacharger_bringup.doctor.servos import examine_servos
 
-            return examine_servos(port, speed, ids, current, options=words)
+            return examine_servos(port, speed, ids, current)
 
         found += _examine_servos(hardware, look)
     if board:

@@ -69,7 +69,7 @@ COMMANDS: dict[str, Command] = {
     "vision": ("", "find electrodes in images"),
     "vision detect": (
         ".vision.detect",
-        "find a terminal's electrodes in one image, in a folder of images or in a recording",
+        "find a terminal's electrodes in an image or in a recording",
     ),
     "replay": (".replay.replay", "explain and draw a recorded docking, or list recordings"),
     "view": (".view.view", "show a running or recorded charger in 3D"),

@@ -1,16 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger vision detect`: find electrodes in an image, a folder of images or a recording."""
+"""`deltacharger vision detect`: find electrodes in an image or a recording."""
 
 from __future__ import annotations
 
 import argparse
 import math
-import statistics
-import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -21,8 +19,7 @@ from deltacharger_core.mcap_file import RecordingError, recordings_in
 from deltacharger_vision.cameras.ros_formats import load_camera_info
 from deltacharger_vision.detector.detector import ElectrodeDetector, annotated
 from deltacharger_vision.errors import VisionError
-from deltacharger_vision.image_files import CAMERA_INFO, PICTURES, ImageFiles, images_in, require_opencv, write_picture
-from deltacharger_vision.images import RgbdImage
+from deltacharger_vision.image_files import ImageFiles, require_opencv, write_picture
 from deltacharger_vision.mount import CAMERA_FRAME, FRAME, Mount, Placed
 from deltacharger_vision.ros.recording import CameraRecording, CameraTopics
 from deltacharger_vision.terminal import Detection, Terminal
@@ -35,11 +32,11 @@ _SEEN = (*_PLACED, "confidence", "range", "source")
 def add_detect(parser: argparse.ArgumentParser) -> None:
     """Add the options of `vision detect`."""
     add = parser.add_argument
-    text = "PNG or JPEG; folder of NAME.color.png and NAME.depth.png; recording"
-    add("path", metavar="IMAGE|FOLDER|REC.mcap", help=text)
+    text = "PNG or JPEG; recording, or a folder with one"
+    add("path", metavar="IMAGE|REC.mcap", help=text)
     text = "of one image: aligned depth, 16-bit mm or float m (default: none)"
     add("--depth", metavar="A.png|A.npy", help=text)
-    text = "intrinsics of the colour image (folder: its camera_info.yaml; recording: its own)"
+    text = "intrinsics of the colour image (recording: its own)"
     add("--camera-info", metavar="K.yaml", help=text)
     add("--terminal", metavar="T.yaml", help="size of the bars (default: 70 × 10 mm, 7.4 mm apart)")
     add("--mount", metavar="MOUNT.yaml", help="also report the pose in charger_base")
@@ -49,25 +46,13 @@ def add_detect(parser: argparse.ArgumentParser) -> None:
     add("--depth-topic", default="", metavar="NAME", help="(depth/image_raw of the same camera)")
 
 
-class _Readable(Protocol):
-    """An image that is read only when it is needed."""
-
-    @property
-    def name(self) -> str:
-        """Name in the results."""
-
-    def read(self, camera: Any) -> RgbdImage:
-        """Return the image, or raise VisionError or OSError."""
-
-
 @dataclass(frozen=True)
 class _Images:
-    """Images of one camera: `Intrinsics` or a CameraInfo; `images` may leave out some of the `count` recorded."""
+    """Images of one camera (`Intrinsics` or a CameraInfo): with a name and a method `read`; some may be left out."""
 
-    images: Iterable[_Readable]
+    images: Iterable[Any]
     count: int
     camera: Any
-    single: bool = False
 
 
 def detect(options: argparse.Namespace) -> Result:
@@ -81,8 +66,7 @@ def detect(options: argparse.Namespace) -> Result:
             progress = Tenths()
             for result in _search(options, source, pictures):
                 results.append(result)
-                if not source.single:
-                    progress(len(results) / source.count, f"{len(results)} of {source.count} images")
+                progress(len(results) / source.count, f"{len(results)} of {source.count} images")
         except RecordingError as error:  # images before the damage are still reported
             if not results:
                 raise
@@ -90,13 +74,12 @@ def detect(options: argparse.Namespace) -> Result:
     if not results:
         text = f"none of {source.count} images has a depth image of the same instant: record both with equal stamps"
         raise WrongInput(f"{options.path}: {text}")
-    if source.single:
-        (result,) = results
-        del result["name"]
-        return Result(_text(result), result, DONE if result["found"] else FAILED)
-    total = _summary(results, source.count)
-    lines = [*(f"{each['name']}: {_text(each)}" for each in results), _total_line(total)]
-    code = DONE if total["found"] else WRONG_INPUT if total["broken"] == total["images"] else FAILED
+    found, broken = (sum(bool(each.get(name)) for each in results) for name in ("found", "error"))
+    left_out = source.count - len(results)  # without depth of the same instant, or behind damage
+    total = {"found": found, "images": len(results), "broken": broken, "left_out": left_out}
+    lines = [f"{each['name']}: {_text(each)}" for each in results]
+    lines.append(f"electrodes found in {found} of {len(results)} images; {broken} broken, {left_out} left out")
+    code = DONE if found else WRONG_INPUT if broken == len(results) else FAILED
     return Result("\n".join(lines), {"frame": CAMERA_FRAME, **total, "results": results}, code)
 
 
@@ -107,47 +90,28 @@ def _search(options: argparse.Namespace, source: _Images, pictures: Path | None)
     for each in source.images:
         try:
             image = each.read(source.camera)
-            started = time.perf_counter()
             found = detector.detect(image)
-            took = time.perf_counter() - started
         except (VisionError, OSError) as error:
-            if source.single:
+            if source.count == 1:
                 raise
             yield {"name": each.name, "error": str(error)}
             continue
         if pictures is not None:
             write_picture(pictures / f"{each.name}.png", annotated(image, found))
-        yield {"name": each.name, **_fields(found, mount), "detection_time": took}
+        yield {"name": each.name, **_fields(found, mount)}
 
 
 def _source(options: argparse.Namespace, path: Path) -> _Images:
-    if path.suffix.lower() in PICTURES and not path.is_dir():
-        for name in filter(lambda name: getattr(options, name), _TOPICS):
-            raise WrongInput(f"{_flag(name)} is for a recording")
-        if options.camera_info is None:
-            raise WrongInput("one image needs --camera-info, its intrinsics")
-        depth = None if options.depth is None else Path(options.depth)
-        return _Images([ImageFiles(path.stem, path, depth)], 1, load_camera_info(options.camera_info), single=True)
-    if options.depth is not None:
-        raise WrongInput("--depth is for one image")
-    return _recorded(options, path) if recordings_in(path) else _stored(options, path)
-
-
-def _stored(options: argparse.Namespace, folder: Path) -> _Images:
-    """Return the images of a folder."""
-    if folder.exists() and not folder.is_dir():
-        raise WrongInput(f"{folder}: give an image, a folder or a recording (*.mcap)")
-    for name in _TOPICS:
-        if getattr(options, name):
-            raise WrongInput(f"{_flag(name)} is for a recording")
-    images = images_in(folder)
-    info = folder / CAMERA_INFO if options.camera_info is None else Path(options.camera_info)
-    if options.camera_info is None and not info.exists():
-        raise WrongInput(f"{folder} contains no {CAMERA_INFO}; put it there, or give --camera-info")
-    alone = sum(each.depth is None for each in images)
-    if alone:
-        log_line(f"{alone} of {len(images)} images have no depth image")
-    return _Images(images, len(images), load_camera_info(info))
+    if recordings_in(path) or path.is_dir():
+        if options.depth is not None:
+            raise WrongInput("--depth is for one image")
+        return _recorded(options, path)
+    for name in filter(lambda name: getattr(options, name), _TOPICS):
+        raise WrongInput(f"--{name.replace('_', '-')} is for a recording")
+    if options.camera_info is None:
+        raise WrongInput("one image needs --camera-info, its intrinsics")
+    depth = None if options.depth is None else Path(options.depth)
+    return _Images([ImageFiles(path.stem, path, depth)], 1, load_camera_info(options.camera_info))
 
 
 def _recorded(options: argparse.Namespace, path: Path) -> _Images:
@@ -166,10 +130,6 @@ def _recorded(options: argparse.Namespace, path: Path) -> _Images:
     if not topics.depth:
         log_line(f"{path} has no depth topic; using the colour images alone")
     return _Images(recorded_images(recording), recording.images, camera)
-
-
-def _flag(name: str) -> str:
-    return f"--{name.replace('_', '-')}"
 
 
 def _fields(found: Detection | None, mount: Mount | None) -> dict[str, Any]:
@@ -199,35 +159,3 @@ def _text(result: Mapping[str, Any]) -> str:
     source = "image and depth" if result["source"] == "both" else "the image alone"
     frame = FRAME if FRAME in result else CAMERA_FRAME
     return f"{place} mm (± {errors}), {roll} in {frame}, confidence {result['confidence']:.2f}, from {source}"
-
-
-def _summary(results: Sequence[Mapping[str, Any]], expected: int) -> dict[str, Any]:
-    """Return the number of images with electrodes, and the run times.
-
-    Args:
-        results: of each image: `name`, and `_fields` or `error`.
-        expected: number of images; those left out have no depth of the same instant, or lie behind damage.
-    """
-    times = [each["detection_time"] for each in results if "error" not in each]
-    return {
-        "found": sum(bool(each.get("found")) for each in results),
-        "images": len(results),
-        "broken": len(results) - len(times),
-        "left_out": expected - len(results),
-        "detection_time": {
-            "median": statistics.median(times) if times else None,
-            "p95": float(np.percentile(times, 95.0)) if times else None,
-        },
-    }
-
-
-def _total_line(total: Mapping[str, Any]) -> str:
-    """Return the summary as a line."""
-    parts = [f"electrodes found in {total['found']} of {total['images']} images"]
-    if total["broken"]:
-        parts.append(f"{total['broken']} of them broken")
-    if total["left_out"]:
-        parts.append(f"{total['left_out']} more left out: no depth of the same instant, or behind damage")
-    if total["detection_time"]["median"] is not None:
-        parts.append(f"{1e3 * total['detection_time']['median']:.1f} ms per image")
-    return "; ".join(parts)

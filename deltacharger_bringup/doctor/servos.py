@@ -1,17 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of the servos (present, right speed, healthy, set as the driver requires), and on request their speed."""
+"""Checks of the servos (present, right speed, healthy, set as the driver requires)."""
 
 from __future__ import annotations
 
-import contextlib
 import statistics
 import time
 from collections.abc import Iterator, Mapping, Sequence
 
 from deltacharger_bringup.doctor.findings import Finding, failed, hint, ok, wrong
-from deltacharger_core.machine import SERVO_IDS
-from deltacharger_core.servo_types import NAMES, SPEEDS, TYPES, ServoType
-from deltacharger_driver.errors import CorruptReply, DriverError, NoAnswer, ServoFault
+from deltacharger_core.servo_types import NAMES, TYPES, ServoType
+from deltacharger_driver.errors import CorruptReply, NoAnswer, ServoFault
 from deltacharger_driver.port_identity import SERVO_SPEEDS, FoundServo, PortIdentity, identify
 from deltacharger_driver.servos.bus import check_registers
 from deltacharger_driver.servos.link import ServoLink
@@ -23,8 +21,6 @@ _PATIENCE = 0.15  # s to wait for replies to a broadcast ping; enough for ids up
 _READS = 50  # of each servo, for the quality of the line
 _SUPPLY_ADVICE = "check the 12 V supply, the cable and its plugs"
 _FIRMWARE_ADVICE = "update its firmware to 39 or later (Protocol 2.0) with the vendor's wizard"
-_COMES_BACK = 1.0  # s until a servo answers at its new speed
-_STEP = 0.05  # s
 
 
 def examine_servos(
@@ -32,8 +28,7 @@ def examine_servos(
     baud_rate: int,
     ids: Sequence[int],
     current_max: float | None,
-    speeds: Sequence[int] = (),
-    options: str = "",
+    speeds: Sequence[int] = SERVO_SPEEDS,
 ) -> Iterator[Finding]:
     """Find all servos of a port and check those that the charger uses.
 
@@ -42,17 +37,16 @@ def examine_servos(
         baud_rate: expected speed, bit/s.
         ids: of limbs 0, 1, 2.
         current_max: A, the largest current bound that will be used; None = the stall current of their type.
-        speeds: to search, bit/s; empty = all speeds of the servos.
-        options: command-line options of the port for the remedy; empty = --servo-port with its path.
+        speeds: to search, bit/s.
     """
-    found = identify(path, speeds or SERVO_SPEEDS, ids, _PATIENCE)
+    found = identify(path, speeds, ids, _PATIENCE)
     if found.kind != "servos":
         yield _none(found)
         return
     ready: dict[int, ServoType] = {}
     for servo in ids:
         matching = [one for one in found.servos if one.servo == servo]
-        problem = _problem(servo, matching, baud_rate, options or f"--servo-port {path}")
+        problem = _problem(servo, matching, baud_rate)
         if problem is not None:
             yield problem
             continue
@@ -78,7 +72,7 @@ def _none(found: PortIdentity) -> Finding:
     return wrong("servos", f"{found.port}: {found.details}", "give the right port, or check noise and duplicate ids")
 
 
-def _problem(servo: int, matching: Sequence[FoundServo], baud_rate: int, options: str) -> Finding | None:
+def _problem(servo: int, matching: Sequence[FoundServo], baud_rate: int) -> Finding | None:
     """Return why one servo cannot be used, or None."""
     part = f"servo {servo}"
     if not matching:
@@ -93,8 +87,9 @@ def _problem(servo: int, matching: Sequence[FoundServo], baud_rate: int, options
     if one.model not in TYPES:
         return wrong(part, f"is model {one.model}, not {NAMES} with Protocol 2.0", "replace it")
     if one.speed != baud_rate:
-        command = f"deltacharger doctor {options} --set-baud {baud_rate} --ids {servo}"
-        return wrong(part, f"answers at {one.speed} bit/s, not at {baud_rate}", f"run: {command}")
+        return wrong(
+            part, f"answers at {one.speed} bit/s, not at {baud_rate}", "set its speed with the vendor's wizard"
+        )
     return None
 
 
@@ -187,77 +182,3 @@ def _line(link: ServoLink, servos: Sequence[int]) -> Iterator[Finding]:
         yield hint("servo line", text, "check plugs and cables")
     else:
         yield ok("servo line", text)
-
-
-def set_baud(path: str, baud: int, ids: Sequence[int] | None, speeds: Sequence[int] = ()) -> Iterator[Finding]:
-    """Write the speed of servos that have another one. Nothing else is written, except torque off.
-
-    Args:
-        path: of the port; no other program may have it open.
-        baud: new speed, a value of SPEEDS, bit/s.
-        ids: of the servos; None = all that answer.
-        speeds: to search, bit/s; empty = all speeds of the servos.
-
-    Yields:
-        one finding per servo, ok if it has the speed `baud` now.
-    """
-    wanted = None if ids is None else list(dict.fromkeys(ids))
-    found = identify(path, speeds or SERVO_SPEEDS, wanted or SERVO_IDS, _PATIENCE)
-    if found.kind == "board":
-        yield wrong("servos", f"{path}: the board is here, not the servos", "give the servos' port")
-        return
-    everyone = sorted({one.servo for one in found.servos})
-    if not everyone and wanted is None:
-        yield wrong("servos", f"{path}: {found.details}", "check the 12 V supply, the cable and the port")
-    for servo in everyone if wanted is None else wanted:
-        yield _set_one(path, baud, servo, [one for one in found.servos if one.servo == servo])
-
-
-def _set_one(path: str, baud: int, servo: int, matching: Sequence[FoundServo]) -> Finding:
-    part = f"servo {servo}"
-    if not matching:
-        return wrong(part, "does not answer at any speed", "check the 12 V supply, the cable and its id")
-    one = matching[0]
-    if len(matching) > 1 or one.garbled:
-        text = "answers unintelligibly or twice: two servos have this id, or there is noise; nothing was written"
-        return wrong(part, text, "unplug one of two servos and give it another id first; otherwise check the plugs")
-    if one.protocol == 1 or one.model not in TYPES:
-        text = f"is no {NAMES} with Protocol 2.0: {one}; nothing was written"
-        return wrong(part, text, "update its firmware to 39 or later with the vendor's wizard")
-    if one.speed == baud:
-        return ok(part, f"has {baud} bit/s already; nothing was written")
-    link = ServoLink(path, one.speed)
-    link.open()
-    try:
-        return _write(link, servo, one.speed, baud)
-    except DriverError as error:
-        return wrong(
-            part, str(error), "check the 12 V supply and the cable, then run the doctor again to find its speed"
-        )
-    finally:
-        link.close()
-
-
-def _write(link: ServoLink, servo: int, old: int, new: int) -> Finding:
-    """Switch torque off, write the speed, follow the servo to it and read it back.
-
-    Raises:
-        DriverError: the servo refuses, or the line fails.
-    """
-    part = f"servo {servo}"
-    code = next(code for code, speed in SPEEDS.items() if speed == new)
-    link.write(servo, "torque_enable", 0)
-    if link.read(servo, "torque_enable") != 0:
-        return wrong(part, "its torque cannot be switched off; nothing was written", "switch its supply off and on")
-    with contextlib.suppress(NoAnswer, CorruptReply):  # it may already confirm at the new speed
-        link.write(servo, "baud", code)
-    link.set_speed(new)
-    end = time.monotonic() + _COMES_BACK
-    while True:
-        with contextlib.suppress(NoAnswer, CorruptReply):
-            if link.read(servo, "baud") == code:
-                return ok(part, f"set from {old} to {new} bit/s and read back at {new}")
-        if time.monotonic() > end:
-            advice = "switch its supply off and on, then run the doctor again to find its speed"
-            return wrong(part, f"does not answer at the new speed of {new} bit/s", advice)
-        time.sleep(_STEP)

@@ -393,14 +393,6 @@ class ServoLink:
         """Release the port. Never raises; works from any thread."""
         self._handler.closePort()
 
-    def set_speed(self, baud_rate: int) -> None:
-        """Change the speed of the port, not of the servos.
-
-        Raises:
-            PortGone: the port vanished.
-        """
-        self._handler.setBaudRate(baud_rate)
-
     def ping(self, servo: int, attempts: int = 1) -> int:
         """Return the model number of a servo.
 

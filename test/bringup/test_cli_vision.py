@@ -25,8 +25,7 @@ cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)"
 
 Array = np.ndarray[Any, Any]
 KEYS = {
-    *("found", "frame", "position", "roll", "normal", "covariance", "confidence", "range", "source"),
-    "detection_time",
+    *("name", "found", "frame", "position", "roll", "normal", "covariance", "confidence", "range", "source"),
 }
 
 
@@ -77,6 +76,13 @@ def detect(capsys: Capture, *words: object) -> tuple[int, dict[str, Any]]:
     return answer(capsys, "vision", "detect", *words)
 
 
+def alone(capsys: Capture, *words: object) -> tuple[int, dict[str, Any]]:
+    """Return the exit code, and the result of the only image."""
+    code, found = detect(capsys, *words)
+    (result,) = found["results"]
+    return code, result
+
+
 def one(files: Path, name: str = "a", depth: str = ".depth.png") -> tuple[object, ...]:
     return (files / f"{name}.png", "--depth", files / f"{name}{depth}", "--camera-info", files / "k.yaml")
 
@@ -92,11 +98,11 @@ def near(found: dict[str, Any], away: float = 0.3, roll: float = 0.1, x: float =
 
 @pytest.mark.parametrize("depth", [".depth.png", ".npy"])
 def test_electrodes_are_found_at_their_pose(files: Path, capsys: Capture, depth: str) -> None:
-    code, found = detect(capsys, *one(files, "b"))
-    assert (code, set(found), found["found"]) == (1, KEYS | {"success"}, False)
-    assert all(found[name] is None for name in KEYS - {"found", "frame", "detection_time"})
-    code, found = detect(capsys, *one(files, depth=depth))
-    assert (code, set(found), found["found"]) == (0, KEYS | {"success"}, True)
+    code, found = alone(capsys, *one(files, "b"))
+    assert (code, set(found), found["found"]) == (1, KEYS, False)
+    assert all(found[name] is None for name in KEYS - {"name", "found", "frame"})
+    code, found = alone(capsys, *one(files, depth=depth))
+    assert (code, set(found), found["found"]) == (0, KEYS, True)
     assert (found["frame"], found["source"]) == ("camera_color_optical_frame", "both")
     near(found)
     assert found["normal"] == pytest.approx([0.0, 0.0, -1.0], abs=0.05)
@@ -117,14 +123,14 @@ def test_with_a_mount_the_pose_is_also_in_charger_base(files: Path, tmp_path: Pa
     mount = tmp_path / "mount.yaml"
     numbers = {"position": [0.0, 0.1, -0.2], "orientation": [0.0, 0.0, 1.0, 0.0]}
     mount.write_text(yaml.safe_dump({"frame": "charger_base", **numbers}))
-    code, found = detect(capsys, *one(files), "--mount", mount)
+    code, found = alone(capsys, *one(files), "--mount", mount)
     x, y, z = found["position"]
     placed = found["charger_base"]
     assert (code, set(placed)) == (0, {"position", "roll", "normal", "covariance"})
     assert placed["position"] == pytest.approx([-x, 0.1 - y, z - 0.2])
     assert placed["roll"] == pytest.approx(found["roll"])
     assert placed["covariance"][0][0] > found["covariance"][0][0]
-    code, found = detect(capsys, *one(files, "b"), "--mount", mount)
+    code, found = alone(capsys, *one(files, "b"), "--mount", mount)
     assert (code, found["charger_base"]["position"]) == (1, None)
 
 
@@ -132,7 +138,7 @@ def test_with_a_mount_the_pose_is_also_in_charger_base(files: Path, tmp_path: Pa
 def test_without_depth_the_image_alone_is_used(files: Path, tmp_path: Path, capsys: Capture, depth: bool) -> None:
     empty = write_image(tmp_path / "empty.png", np.zeros((400, 640), dtype=np.uint16))
     words = (files / "a.png", "--camera-info", files / "k.yaml", *(("--depth", empty) if depth else ()))
-    code, found = detect(capsys, *words)
+    code, found = alone(capsys, *words)
     assert (code, found["source"]) == (0, "image")
     near(found)
 
@@ -152,42 +158,6 @@ def test_a_wrong_file_is_named(
     for name in ("a.png", "k.yaml"):
         shutil.copy(files / name, name)
     refuses(capsys, f"vision detect {words}", noun)
-
-
-def test_broken_images_do_not_stop_a_folder(files: Path, tmp_path: Path, capsys: Capture) -> None:
-    for name in ("a", "b"):
-        shutil.copy(files / f"{name}.png", tmp_path / f"{name}.color.png")
-        shutil.copy(files / f"{name}.depth.png", tmp_path / f"{name}.depth.png")
-    shutil.copy(files / "a.png", tmp_path / "alone.color.png")
-    (tmp_path / "broken.color.png").write_bytes((files / "a.png").read_bytes()[:9000])
-    shutil.copy(files / "a.depth.png", tmp_path / "colorless.depth.png")
-    shutil.copy(files / "k.yaml", tmp_path / "camera_info.yaml")
-    code, found = detect(capsys, tmp_path, "--pictures", tmp_path / "out")
-    results = {each.pop("name"): each for each in found["results"]}
-    assert (code, list(results)) == (0, ["a", "alone", "b", "broken", "colorless"])
-    assert (found["found"], found["images"], found["broken"], found["left_out"]) == (2, 5, 2, 0)
-    assert set(results["a"]) == set(results["b"]) == KEYS
-    near(results["a"])
-    assert (results["alone"]["source"], results["b"]["found"]) == ("image", False)
-    assert "broken.color.png" in results["broken"]["error"]
-    assert "colour" in results["colorless"]["error"]
-    times = [results[name]["detection_time"] for name in ("a", "alone", "b")]
-    assert found["detection_time"]["median"] == sorted(times)[1]
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["a.png", "alone.png", "b.png"]
-
-
-def test_the_exit_codes_of_a_folder(files: Path, tmp_path: Path, capsys: Capture) -> None:
-    shutil.copy(files / "b.png", tmp_path / "7.color.png")
-    shutil.copy(files / "b.npy", tmp_path / "7.depth.npy")
-    words = (tmp_path, "--camera-info", files / "k.yaml")
-    code, found = detect(capsys, *words)
-    assert (code, found["found"], found["images"]) == (1, 0, 1)
-    (tmp_path / "7.color.png").write_bytes(b"broken")
-    code, found = detect(capsys, *words)
-    assert (code, found["broken"], found["detection_time"]) == (2, 1, {"median": None, "p95": None})
-    shutil.copy(files / "a.png", tmp_path / "8.color.png")
-    code, text, _ = run(capsys, "vision", "detect", *words)
-    assert (code, "8: x 10." in text, "1 of 2" in text) == (0, True, True)
 
 
 def record(path: Path, *images: tuple[str, Array, int], info: bool = True) -> Path:

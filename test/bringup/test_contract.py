@@ -65,16 +65,14 @@ REFUSED = {
     f"{RECORD} --set reference --out text.npz": "npz file",
     "vision detect": "IMAGE",
     COLOR: "--camera-info",
-    f"{COLOR} --camera-info k.yaml": "distortion",
+    f"{COLOR} --camera-info k.yaml": "k.yaml",
     f"{COLOR} --color-topic /x": "--color-topic",
     "vision detect . --depth text.png": "--depth",
-    "vision detect k.yaml": "folder",
-    "vision detect bare": "camera_info.yaml",
+    "vision detect bare": "holds no recording",
     "replay text.mcap": "MCAP",
     "view --save /proc/view.rrd": "/proc/view.rrd",
     "view --recording text --stop-after-s 3 --save a.rrd": "running charger",
     **{f"view --web {address}": address for address in ("here", "127.0.0.1:65535")},
-    "doctor --set-baud 1000000": "--servo-port",
     "doctor --scene simulated --servo-port /dev/null": "simulated",
 }
 LIBRARIES = {

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from deltacharger_vision.errors import CameraInfoError, ImageError
-from deltacharger_vision.image_files import images_in, read_color, read_depth, read_rgbd, write_picture
+from deltacharger_vision.image_files import read_color, read_depth, read_rgbd, write_picture
 from deltacharger_vision.images import Intrinsics, RgbdImage, distort, undistort
 
 from .views import DISTORTIONS
@@ -178,32 +178,6 @@ def test_a_written_picture_reads_back_unchanged(tmp_path: Path) -> None:
     picture = noise(np.uint8, 40, 64, 3)
     write_picture(tmp_path / "out.png", picture)
     np.testing.assert_array_equal(read_color(tmp_path / "out.png"), picture)
-
-
-def touch(folder: Path, *names: str) -> Path:
-    for name in names:
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).touch()
-    return folder
-
-
-def test_colour_and_depth_pair_by_name(tmp_path: Path) -> None:
-    names = "b.color.png b.depth.npy a.color.jpg a.depth.png c.color.JPEG d.depth.png e.png ._a.color.png"
-    found = images_in(touch(tmp_path, *names.split()))
-    assert [(each.name, each.color and each.color.name, each.depth and each.depth.name) for each in found] == [
-        ("a", "a.color.jpg", "a.depth.png"),
-        ("b", "b.color.png", "b.depth.npy"),
-        ("c", "c.color.JPEG", None),
-        ("d", None, "d.depth.png"),
-    ]
-
-
-@pytest.mark.parametrize(
-    ("names", "noun"), [("a.png", "NAME"), ("a.color.png a.color.jpg", "same name"), ("a.depth.png", "no colour")]
-)
-def test_folders_without_images_or_with_one_twice_are_refused(tmp_path: Path, names: str, noun: str) -> None:
-    with pytest.raises(ImageError, match=noun):
-        images_in(touch(tmp_path, *names.split()))[0].read(CAMERA)
 
 
 def test_a_missing_library_is_named_with_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -147,16 +147,6 @@ def test_speed_and_ids_are_from_the_scene_and_ports_from_the_command_line(
     assert "2000000" in next(f["message"] for f in value["findings"] if f["part"] == "servo 1")
 
 
-def test_set_baud_from_the_command_line(capsys: Capture, servos: ServoBusEmulator, servo_port: str) -> None:
-    servos.servo(2).table.set("baud", 1)
-    words = ("doctor", "--set-baud", "1000000", "--ids", "1", "2", "3", "--servo-port")
-    code, out, err = run(capsys, *words, servo_port)
-    assert (code, "ok     servo 2" in out, "servos" in err, servos.servo(2).table.get("baud")) == (0, True, True, 3)
-    assert out.rstrip().endswith("0 wrong, 0 hints, 4 ok")
-    code, value = answer(capsys, *words, "/dev/nothing")
-    assert (code, list(by_level(value, "wrong"))) == (1, ["servo port"])
-
-
 @pytest.mark.rest
 def test_servos_connected_to_the_board(capsys: Capture, servos: ServoBusEmulator, one_cable: str) -> None:
     servos.servo(2).table.set("baud", 1)
@@ -164,7 +154,3 @@ def test_servos_connected_to_the_board(capsys: Capture, servos: ServoBusEmulator
     code, value = answer(capsys, "doctor", *behind)
     assert (code, "servo 2" in by_level(value, "wrong")) == (1, True)
     assert run(capsys, "doctor", *behind[:2])[0] == 1
-    remedy = next(f["remedy"] for f in value["findings"] if f["part"] == "servo 2")
-    assert f"deltacharger doctor {' '.join(behind)} --set-baud 1000000 --ids 2" in remedy
-    assert run(capsys, "doctor", *behind, "--set-baud", "1000000")[0] == 0
-    assert servos.servo(2).table.get("baud") == 3

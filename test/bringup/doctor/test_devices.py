@@ -16,7 +16,7 @@ import serial
 from deltacharger_bringup.doctor import board as examiner
 from deltacharger_bringup.doctor.findings import Finding
 from deltacharger_bringup.doctor.ports import examine_port
-from deltacharger_bringup.doctor.servos import examine_servos, set_baud
+from deltacharger_bringup.doctor.servos import examine_servos
 from deltacharger_core.servo_types import TYPES, ServoType
 from deltacharger_driver import ports
 from deltacharger_driver.board.link import BoardLink
@@ -147,7 +147,6 @@ def test_target_and_battery_are_judged_as_docking_judges_them(
         (board_findings, "silent_port", "HELLO"),
         (servo_findings, "board_port", "board is here"),
         (servo_findings, "silent_port", "no servo"),
-        (lambda port: set_baud(port, 57600, None), "board_port", "board is here"),
     ],
 )
 def test_a_port_of_something_else_is_wrong(
@@ -168,13 +167,10 @@ def test_healthy_servos_are_ok_and_nothing_is_written(
     assert written(servos) == before
 
 
-def test_a_servo_with_factory_speed_is_named_with_the_command_to_fix_it(
-    servos: ServoBusEmulator, servo_port: str
-) -> None:
+def test_a_servo_with_factory_speed_is_named(servos: ServoBusEmulator, servo_port: str) -> None:
     servos.servo(2).table.set("baud", 1)
     found = servo_findings(servo_port)
     named(found, ("wrong", "servo 2", "57600"))
-    named(found, ("wrong", "servo 2", f"doctor --servo-port {servo_port} --set-baud 1000000 --ids 2"))
 
 
 @pytest.mark.rest
@@ -203,11 +199,10 @@ def test_a_bad_line_is_wrong(servos: ServoBusEmulator, servo_port: str) -> None:
 
 
 @pytest.mark.rest
-def test_two_servos_with_one_id_are_named_and_never_written() -> None:
+def test_two_servos_with_one_id_are_named() -> None:
     twins = ServoBusEmulator(BenchArm(), ids=(1, 2, 2))
     with PseudoTerminal(twins) as terminal:
         named(servo_findings(terminal.path), ("wrong", "servo 2", "two servos"))
-        named(set_baud(terminal.path, 57600, [2], LIKELY), ("wrong", "servo 2", "two servos"))
 
 
 @pytest.mark.parametrize("kind", TYPES.values(), ids=lambda kind: kind.name)
@@ -223,32 +218,6 @@ def test_servos_of_every_type_are_good_and_a_mixture_is_named(kind: ServoType) -
         found = servo_findings(terminal.path)
     named(found, ("wrong", "servo 2", f"{other}, not {kind} as servo 1"))
     assert parts(found, "wrong") == {"servo 2"}
-
-
-def test_set_baud_writes_the_speed_and_torque_off_and_nothing_else(servos: ServoBusEmulator, servo_port: str) -> None:
-    for servo in (1, 3):
-        servos.servo(servo).table.set("baud", 1)
-    servos.servo(1).table.set("torque_enable", 1)
-    before = written(servos)
-    found = list(set_baud(servo_port, 1_000_000, None, LIKELY))
-    named(found, ("ok", "servo 1", "57600"), ("ok", "servo 2", "already"), ("ok", "servo 3", "57600"))
-    changed = {key for key, value in written(servos).items() if before[key] != value}
-    assert changed == {(1, "baud"), (3, "baud"), (1, "torque_enable")}
-
-
-def test_set_baud_writes_only_the_given_ids(servos: ServoBusEmulator, servo_port: str) -> None:
-    for servo in IDS:
-        servos.servo(servo).table.set("baud", 2)
-    found = list(set_baud(servo_port, 57600, [2, 2, 7], (57600, 115200)))
-    assert [(finding.part, finding.level) for finding in found] == [("servo 2", "ok"), ("servo 7", "wrong")]
-    assert [servos.servo(servo).table.get("baud") for servo in IDS] == [2, 1, 2]
-
-
-def test_set_baud_does_not_write_to_protocol_1(servos: ServoBusEmulator, servo_port: str) -> None:
-    use_protocol_1(servos, 3)
-    before = written(servos)
-    named(set_baud(servo_port, 57600, [3], LIKELY), ("wrong", "servo 3", "nothing was written"))
-    assert written(servos) == before
 
 
 def test_a_busy_port_names_its_user(board_port: str) -> None:
