@@ -51,7 +51,6 @@ REFUSED = {
     "campaign --out text.npz": "text.npz is a file",
     "campaign --out new --scenes defualt": "'default'",
     "campaign --compare new new": "_campaign.json",
-    "campaign --out new --picture a.png": "--compare",
     "report kinematics --points 49": "--points",
     "report tactile --seed -1": "--seed",
     "report footprint --scene bensch": "'bench'",

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from deltacharger_bringup.cli.arguments import SEED, integer, picture_to_write
+from deltacharger_bringup.cli.arguments import SEED, integer
 from deltacharger_bringup.cli.output import (
     FAILED,
     INTERRUPTED,
@@ -26,7 +26,7 @@ from deltacharger_bringup.cli.output import (
     log_line,
     wrong_input,
 )
-from deltacharger_lab.campaigns.compare import compare_campaigns, describe, draw
+from deltacharger_lab.campaigns.compare import compare_campaigns, describe
 from deltacharger_lab.campaigns.runner import run_missing
 from deltacharger_lab.campaigns.scene import load_campaign_scene
 from deltacharger_lab.campaigns.store import (
@@ -60,15 +60,12 @@ def add_campaign(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", metavar="DIR", help="folder of Parquet files, created if missing")
     text = "instead compare two campaigns of one seed, docking by docking"
     parser.add_argument("--compare", nargs=2, metavar=("A", "B"), help=text)
-    parser.add_argument("--picture", metavar="FILE", help="draw the differences of --compare")
 
 
 def campaign(options: argparse.Namespace) -> Result:
     """Run the missing dockings of a campaign and return how its dockings ended, or compare two."""
     if options.compare is not None:
         return _compare(options)
-    if options.picture is not None:
-        raise WrongInput("--picture needs --compare")
     folder, settings = _folder(options), _settings(options)
     with campaign_errors():
         with Interrupts() as interrupts, Store(folder, settings) as store:
@@ -88,13 +85,9 @@ def campaign(options: argparse.Namespace) -> Result:
 
 def _compare(options: argparse.Namespace) -> Result:
     """Compare two campaigns docking by docking, and draw the differences."""
-    picture = picture_to_write(options.picture) if options.picture else None
     with campaign_errors():
         found = compare_campaigns(*map(Path, options.compare))
-    if picture is None:
-        return Result(describe(found), {**found, "picture": None})
-    draw(found, picture)
-    return Result(describe(found), {**found, "picture": str(picture)}, remarks=[f"{picture}: written"])
+    return Result(describe(found), found)
 
 
 @contextlib.contextmanager
