@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import math
 
-from deltacharger_core.script import NEXT, Script
+from deltacharger_core.script import Script
 from deltacharger_docking import codes
-from deltacharger_docking.clearance import LEAN_SIGMAS, MisalignmentEstimate
+from deltacharger_docking.clearance import LEAN_SIGMAS, MisalignmentEstimate, reaches_limit
 from deltacharger_docking.codes import State
 from deltacharger_docking.context import SERVICE_TIMEOUT, Context
 from deltacharger_docking.energy import check_battery, de_energise, prove_dead, wait_for_single_sources
@@ -126,7 +126,7 @@ def check_roll(context: Context, electrodes: ElectrodePose, limit: float) -> Non
         CriticalAngle: it does.
     """
     roll, stddev = electrodes.roll, electrodes.roll_stddev
-    if abs(roll) + _ROLL_SIGMAS * stddev < limit:
+    if not reaches_limit(roll, context.parameters, limit, _ROLL_SIGMAS * stddev):
         return
     text = "the roll, given or seen, is too large"
     context.decide("refused", text, roll_rad=roll, roll_stddev_rad=stddev, limit_rad=limit)
@@ -171,13 +171,13 @@ def _is_surely_beyond(context: Context, axis: str, lean: float, stddev: float, l
 def prepare(context: Context) -> Script[None]:
     """Wait for nodes that have just started, open the contactor, switch the torque on, lift off, tare in free air."""
     context.enter(State.APPROACH, APPROACH_TIMEOUT)
-    end = context.time + FIRST_DATA_TIMEOUT
+    oldest = context.parameters.age_max
     with context.waiting_for("servo_state and tactile_frame"):
-        while context.time <= end and (_servos_silent(context) or _pads_silent(context)):
-            yield NEXT
-    if _servos_silent(context):
+        seen = lambda: context.observation  # noqa: E731
+        yield from context.until(lambda: not max(seen().servo_age, seen().tactile_age) > oldest, FIRST_DATA_TIMEOUT)
+    if context.observation.servo_age > oldest:
         raise context.observation.servo_silence()
-    if _pads_silent(context):
+    if context.observation.tactile_age > oldest:
         raise codes.TactileStale("no tactile frames; check the board's cable and tactile_node")
     yield from context.answered()
     yield from de_energise(context)  # never pull off a contactor that welded in an earlier goal
@@ -191,11 +191,3 @@ def prepare(context: Context) -> Script[None]:
     if not reply.success:
         raise codes.TactileStale(f"the pads were not tared: {reply.message}; they must be free before docking")
     context.decide("tared", "the pads are tared in free air")
-
-
-def _servos_silent(context: Context) -> bool:
-    return context.observation.servo_age > context.parameters.age_max
-
-
-def _pads_silent(context: Context) -> bool:
-    return context.observation.tactile_age > context.parameters.age_max

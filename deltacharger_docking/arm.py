@@ -181,15 +181,6 @@ class RemainingShare:
         self.stddev *= math.sqrt(1.0 - weight)
 
 
-_PUSH_ABOVE = 0.2
-"""A above the band at which a servo's current is bounded while it pushes. From statics, then seeds 5 and 19."""
-
-
-def push_current(parameters: DockingParameters) -> float:
-    """Return the current bound (A) of each servo above its free-motion current."""
-    return parameters.current_max + _PUSH_ABOVE
-
-
 class Planner:
     """Plans lines in ``charger_base`` (m) under speed limits, with the weight of the arm fed forward.
 
@@ -240,7 +231,7 @@ class Planner:
         return a, b, c
 
     def _beyond_weight(self) -> Vector:
-        push = push_current(self.parameters) * self.parameters.torque_constant
+        push = self.parameters.push_current * self.parameters.torque_constant
         a, b, c = self.springs.beyond_weight
         return a + push, b + push, c + push
 

@@ -47,29 +47,21 @@ class Order:
     critical_angle: float
     since: float
 
-    def ended_by(self, context: Context) -> str:
-        """Return the name of the stop condition that is met; '' = none."""
+    def is_over(self, context: Context) -> bool:
+        """Return whether the electrodes have rested for `hold_max` since the last goal."""
+        return context.time - self.since >= context.parameters.hold_max
+
+    def met(self, context: Context) -> tuple[str, str]:
+        """Return the name of the stop condition that is met, and a sentence on it; '' = none."""
         goal, passed = self.goal, context.time - self.since
         if goal.stop_energy and context.energy_most >= goal.stop_energy:
-            return "stop_energy"
-        if goal.stop_after and passed >= goal.stop_after:
-            return "stop_after"
-        return "hold_max" if passed >= context.parameters.hold_max else ""
-
-    def is_met(self, context: Context) -> str:
-        """Return the stop condition that is met, as a sentence; '' = none."""
-        name = self.ended_by(context)
-        if name == "stop_energy":
             most = "at most " if math.isnan(context.energy) else ""
-            return f"the stop condition was met: {most}{context.energy_most:.0f} J"
-        if name == "stop_after":
-            return f"the stop condition was met: {context.time - self.since:.1f} s"
-        return self.is_over(context)
-
-    def is_over(self, context: Context) -> str:
-        """Return that the electrodes have rested for `hold_max` since the last goal; '' = not yet."""
-        limit = context.parameters.hold_max
-        return f"{limit:g} s (hold_max) have passed since the last goal" if context.time - self.since >= limit else ""
+            return "stop_energy", f"the stop condition was met: {most}{context.energy_most:.0f} J"
+        if goal.stop_after and passed >= goal.stop_after:
+            return "stop_after", f"the stop condition was met: {passed:.1f} s"
+        if self.is_over(context):
+            return "hold_max", f"{context.parameters.hold_max:g} s (hold_max) have passed since the last goal"
+        return "", ""
 
 
 class Charged:
@@ -267,7 +259,7 @@ def charge(context: Context, order: Order, target: Target) -> Script[str]:
             context.end_charge(f"full: {why}")
             context.decide("full", why, charge_current_A=current, target_voltage_V=volts, energy_J=context.energy)
             return f"the target is full: {why}"
-        reason, ended = order.is_met(context), order.ended_by(context)
+        ended, reason = order.met(context)
         if not order.goal.start_charging:
             reason, ended = "a later goal with start_charging false ended charging", "start_charging false"
         if reason:

@@ -149,9 +149,9 @@ def limit_of(parameters: DockingParameters, critical_angle: float | None = None)
     return parameters.critical_angle if critical_angle is None else min(critical_angle, parameters.critical_angle)
 
 
-def reaches_limit(angle: float, parameters: DockingParameters, critical_angle: float) -> bool:
-    """Return whether an angle (rad) reaches the critical one by itself, be it as unsure as it may."""
-    return abs(angle) >= limit_of(parameters, critical_angle)
+def reaches_limit(angle: float, parameters: DockingParameters, critical_angle: float, error: float = 0.0) -> bool:
+    """Return whether an angle (rad) with this error reaches the critical one by itself; NaN does."""
+    return not abs(angle) + error < limit_of(parameters, critical_angle)
 
 
 def judge(

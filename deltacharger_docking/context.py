@@ -174,10 +174,9 @@ class Context:
     def observe(self, observation: Observation) -> None:
         """Take the observation of this tick."""
         before, jump = self.time, max(self.observation.time - observation.time, 0.0)
-        ages = observation.servo_age, observation.tactile_age, observation.power_age
-        if math.isnan(sum(ages)):  # an unknown age is not fresh
-            servo, tactile, power = (math.inf if math.isnan(age) else age for age in ages)
-            observation = replace(observation, servo_age=servo, tactile_age=tactile, power_age=power)
+        ages = {name: getattr(observation, name) for name in ("servo_age", "tactile_age", "power_age")}
+        if unknown := {name: math.inf for name, age in ages.items() if math.isnan(age)}:
+            observation = replace(observation, **unknown)  # an unknown age is not fresh
         self._set_back += jump
         self.time = observation.time + self._set_back
         self.pause = max(jump, self.time - max(before, self.waits.until))
@@ -220,7 +219,6 @@ class Context:
         self.doubtful = observation.duplicate_sources or self.doubtful
         self.status.duplicate_sources = observation.duplicate_sources
         self.status.position = self.position
-        self.status.dampings, self.status.friction_force = self.springs.dampings, self.springs.friction_force
         self.status.contact_current, self.status.contact_force = self.contact.value, self.contact.force
 
     def _count(self, power: float, seconds: float) -> None:
@@ -344,6 +342,15 @@ class Context:
         while self.time < end:
             yield Wait(end, reads)
 
+    def until(self, condition: Callable[[], bool], seconds: float) -> Script[bool]:
+        """Wait until a condition holds, at most so many seconds; return whether it does."""
+        end = self.time + seconds
+        while not condition():
+            if self.time > end:
+                return False
+            yield NEXT
+        return True
+
     def ask(self, service: Service, error: type[DockingError], timeout: float, frames: int = 0) -> Script[Reply]:
         """Call a service and return its reply, successful or not.
 
@@ -371,11 +378,8 @@ class Context:
         reply = yield from self.ask(Service.TORQUE_ON, codes.ServoFailure, SERVICE_TIMEOUT)
         if not reply.success:
             raise codes.ServoFailure(f"the servos were not enabled: {reply.message}")
-        end = self.time + self.parameters.age_max
-        while not self.observation.torque_enabled:
-            if self.time > end:
-                raise codes.ServoFailure("servo_state does not show the torque that was switched on; check servo_node")
-            yield NEXT
+        if not (yield from self.until(lambda: self.observation.torque_enabled, self.parameters.age_max)):
+            raise codes.ServoFailure("servo_state does not show the torque that was switched on; check servo_node")
 
     def send(self, service: Service) -> None:
         """Call a service without waiting for its reply."""
@@ -393,10 +397,8 @@ class Context:
         """
         if not self._orders:
             return
-        end = self.time + SERVICE_TIMEOUT
         with self.waiting_for(", ".join(sorted({order.value for order, _ in self._orders.values()}))):
-            while self._orders and self.time <= end:
-                yield NEXT
+            yield from self.until(lambda: not self._orders, SERVICE_TIMEOUT)
         self._orders.clear()
         yield from self.wait(_SHOWN)
 
@@ -570,7 +572,7 @@ class Context:
         Raises:
             ServoFailure: no current was measured within the age allowed for servo_state.
         """
-        parameters, contact, settle_time = self.parameters, self.contact, self.springs.settle_time
+        contact, settle_time = self.contact, self.springs.settle_time
         settled = self.time + settle_time
         touching = self.observation.tactile_contact
         yield from self.wait(min(settle_time, SETTLE_TOUCHING if touching else math.inf))
@@ -578,11 +580,9 @@ class Context:
             yield from self.read()
             if self.time > settled or not abs(contact.drift) > max(_DRIFT_MAX, _SIGMAS * contact.currents_error):
                 break
-        end = self.time + parameters.age_max
-        while not math.isfinite(self.contact.value) or self.observation.servo_age > PRESS_AGE_MAX:
-            if self.time > end:
-                raise codes.ServoFailure("the servos' currents are not measured; check the servo bus and servo_node")
-            yield NEXT
+        fresh = lambda: math.isfinite(contact.value) and not self.observation.servo_age > PRESS_AGE_MAX  # noqa: E731
+        if not (yield from self.until(fresh, self.parameters.age_max)):
+            raise codes.ServoFailure("the servos' currents are not measured; check the servo bus and servo_node")
 
 
 def _measured(angles: Vector, currents: Vector) -> bool:

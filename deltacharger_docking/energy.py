@@ -151,9 +151,7 @@ def _current_flows(context: Context, profile: TargetProfile) -> Script[None]:
 def _clear_fault(context: Context) -> Script[None]:
     """Open once to clear a fault that was latched before this docking; if it returns, docking ends."""
     yield from context.ask(Service.OPEN, codes.PowerStale, _PROBE_TIMEOUT)
-    end = context.time + OPEN_TIMEOUT
-    while context.observation.power_fault and context.time < end:
-        yield NEXT
+    yield from context.until(lambda: not context.observation.power_fault, OPEN_TIMEOUT)
 
 
 def prove_dead(context: Context) -> Script[None]:

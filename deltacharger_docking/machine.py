@@ -515,7 +515,7 @@ class TargetVisit:
                 return False
             if context.contact.value < CONTACT_LOST_CURRENT:
                 raise codes.NoContact("contact was lost after docking; the target moved")
-            reason = order.is_met(context)
+            _, reason = order.met(context)
             if self._machine.is_open and reason:
                 context.decide("stop", reason)
                 self._machine.succeed(reason)
@@ -535,7 +535,7 @@ def _watch(context: Context, order: Order, target: Target) -> Script[str]:
     """
     checks, context.closing = clearance_checks(context, order, target), Live(context.time)
     while True:
-        if reason := order.is_met(context):
+        if reason := order.met(context)[1]:
             context.decide("stop", reason, time_s=context.time - order.since)
             return reason
         yield next(checks)

@@ -296,5 +296,3 @@ class DockingStatus:
     redockings: int = 0
     waiting_for: str = ""
     contact_force: float = math.nan
-    dampings: Vector = NAN3
-    friction_force: float = math.nan

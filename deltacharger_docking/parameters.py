@@ -28,6 +28,7 @@ _ORDERED = (
     ("battery_voltage_start", "battery_voltage_max"),
 )
 """Parameters of which the first must not lie above the second."""
+_PUSH_ABOVE = 0.2  # A above the band at which a pushing servo's current is bounded: statics, then seeds 5 and 19
 BAND_MARGIN = 0.015  # A, distance of an accepted reading from the band's lower end: statics, then seeds 5 and 19
 
 
@@ -127,6 +128,11 @@ class DockingParameters(Bounded):
     def hard_current(self) -> float:
         """Contact current (A) that ends docking, except in RETRACT: twice the band's upper end."""
         return 2.0 * self.current_max
+
+    @property
+    def push_current(self) -> float:
+        """Current bound (A) of each servo above its free-motion current, while it pushes."""
+        return self.current_max + _PUSH_ABOVE
 
     @property
     def home(self) -> Vector:

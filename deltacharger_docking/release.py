@@ -13,7 +13,6 @@ import math
 import numpy as np
 
 from deltacharger_core.script import NEXT, Script
-from deltacharger_docking.arm import push_current
 from deltacharger_docking.codes import DockingError, ServoFailure, State, Stuck, TactileStale
 from deltacharger_docking.contact import PRESS_AGE_MAX
 from deltacharger_docking.context import REACH, SERVICE_TIMEOUT, Context
@@ -59,11 +58,9 @@ def take_off(context: Context, z: float) -> Script[None]:
         x, y, away = context.commanded
         if away > z:
             yield from context.move((x, y, z), context.parameters.travel_speed, settle=False)
-        end = context.time + context.springs.settle_time
         near = min(z, away) + REACH
-        while context.time < end and (touches(context) or context.position[2] > near):
-            yield NEXT
-        if not touches(context) and context.position[2] <= near:
+        is_off = lambda near=near: not touches(context) and context.position[2] <= near  # noqa: E731
+        if (yield from context.until(is_off, context.springs.settle_time)):
             return
     raise _stuck(context)
 
@@ -106,7 +103,7 @@ def _release(context: Context) -> Script[None]:
         yield NEXT
     context.feed.stop()
     x, y, z = context.position
-    pushing = push_current(parameters)
+    pushing = parameters.push_current
     first, last = (_behind(context, current) for current in (pushing, RELEASE_CURRENT))
     free = (z if math.isnan(context.touched) else min(z, context.touched)) - BACK  # a target that yielded swings back
     behind = kinematics.inverse(x, y, free)
@@ -262,11 +259,8 @@ def retract(context: Context, wanted: bool = False) -> Script[None]:
     if not reply.success:
         raise ServoFailure(f"the servos' torque was not switched off: {reply.message}")
     # Otherwise the next goal could read an old servo_state and send a trajectory to limp servos.
-    end = context.time + parameters.age_max
-    while context.observation.torque_enabled:
-        if context.time > end:
-            raise ServoFailure("servo_state still reports torque on; check servo_node, or cut the servos' power")
-        yield NEXT
+    if not (yield from context.until(lambda: not context.observation.torque_enabled, parameters.age_max)):
+        raise ServoFailure("servo_state still reports torque on; check servo_node, or cut the servos' power")
     context.decide("limp", "the servos' torque is off")
     if touches(context):  # it rolled on until now
         raise rolls(context, "it followed the arm home")

@@ -124,8 +124,8 @@ def look(context: Context, target: Target) -> Script[MisalignmentEstimate | None
     text = "the first touch gives an estimate" if estimate.usable else "the touch is too light for an estimate"
     context.decide("touched", text, contact_current_A=context.contact.value, **estimate.numbers)
     if not estimate.usable:
-        forbids = estimate.contact and reaches_limit(estimate.angle, parameters, target.critical_angle)
-        return estimate if forbids else None
+        known = estimate.contact and math.isfinite(estimate.angle)
+        return estimate if known and reaches_limit(estimate.angle, parameters, target.critical_angle) else None
     verdict = record_verdict(context, estimate, target.critical_angle)
     if verdict is Verdict.CRITICAL:
         raise codes.CriticalAngle(rolled_too_far(estimate.angle))

@@ -22,7 +22,6 @@ from deltacharger.action import Dock, Undock
 from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory
 
-from deltacharger_core import runtime
 from deltacharger_core.environment import package_version
 from deltacharger_core.frames import TransformParameters
 from deltacharger_core.texts import titled
@@ -374,11 +373,9 @@ class DockingNode(Node):
         for state in states:
             message = goal.action.Feedback(state=int(state), z=status.position[2])
             if goal.action is Dock:
-                message.alignments = status.alignments
-                message.contact_current = status.contact_current
+                message.alignments, message.contact_current = status.alignments, status.contact_current
                 message.misalignment = self._calls.misalignment(status.estimate)
-                message.elapsed = duration(status.elapsed)
-                message.waiting_for = status.waiting_for
+                message.elapsed, message.waiting_for = duration(status.elapsed), status.waiting_for
             else:
                 message.charge_current = charge_current
             goal.feed_back(message)
@@ -388,16 +385,8 @@ class DockingNode(Node):
 
         What can never be served is refused first, so that nobody sends it again after a goal that is served now.
         """
-        goal = DockGoal(
-            electrodes=None,
-            critical_angle=request.critical_angle,
-            start_charging=request.start_charging,
-            hold=request.hold,
-            stop_energy=request.stop_energy,
-            stop_after=seconds(request.stop_after),
-            request_id=request.request_id,
-            target_profile=request.target_profile,
-        )
+        given = {name: getattr(request, name) for name in io.GIVEN}
+        goal = DockGoal(None, stop_after=seconds(request.stop_after), **given)
         io.check_numbers(request.electrodes)
         frame = request.electrodes.header.frame_id
         with self._lock:
@@ -419,8 +408,7 @@ class DockingNode(Node):
             suggested_base_pose=io.pose_stamped(
                 outcome.suggested_base, self.get_clock().now().to_msg(), self._frames.charger_base
             ),
-            redockings=outcome.redockings,
-            **{name: getattr(outcome, name) for name in io.MEASURED},
+            **{name: getattr(outcome, name) for name in (*io.MEASURED, "redockings")},
         )
 
 
@@ -440,34 +428,8 @@ def _as_text(goal: DockGoal | str) -> str:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run docking_node until SIGINT or SIGTERM; return 0 after a signal, 2 if the configuration is wrong.
-
-    Like `deltacharger up`, the process locks its ROS domain and namespace, so a second charger of this user on this
-    computer is refused.
-    """
-    with contextlib.ExitStack() as lock:
-        return node_support.run(lambda: _alone(DockingNode(held=True), lock), args, has_deadlines=True)
-
-
-def _alone(node: DockingNode, lock: contextlib.ExitStack) -> DockingNode:
-    """Release a node if it is the only one of its name on this computer.
-
-    Raises:
-        StartupError: another process runs a charger of this domain and namespace.
-    """
-    domain = node.context.get_domain_id()
-    try:
-        lock.enter_context(runtime.only_one(domain, node.get_namespace()))
-    except runtime.Taken as taken:
-        node.destroy_node()
-        raise node_support.StartupError(
-            f"docking_node: a charger of this namespace already runs in ROS domain {domain} ({taken}): stop it, or "
-            "choose another ROS_DOMAIN_ID or namespace"
-        ) from taken
-    except OSError as error:  # the lock is not essential: docking also checks for second sources over ROS
-        Log(node).warning(f"the lock against a second charger is not available: {error}")
-    node.release()
-    return node
+    """Run docking_node until SIGINT or SIGTERM; return 0 after a signal, 2 if the configuration is wrong."""
+    return node_support.run(DockingNode, args, has_deadlines=True)
 
 
 if __name__ == "__main__":

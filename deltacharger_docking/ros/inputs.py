@@ -30,6 +30,10 @@ from deltacharger_ros.on_demand import LatestMessage, PolledTopic
 _LOOK = 0.1  # s between checks for second sources; each takes 0.1 ms
 _BACKLOG = 64  # tactile frames, half a second: frames are kept while docking's thread is delayed
 _PER_SERVO = ("name", "position", "current", "hardware_error", "torque_enabled", "valid", "thermal_reserve", "stray")
+_POWER = (
+    *("contactor_closed", "charge_current", "target_voltage", "battery_voltage"),
+    *("stage_steps_up", "stage_voltage"),
+)
 SOURCES = ("servo_state", "tactile_frame", "charger_power", "joint_trajectory")
 """Topics that docking uses and only one node may publish."""
 SERVERS = ("predict_misalignment", "detect_electrodes", "set_torque", "tare", "probe", "set_contactor")
@@ -120,16 +124,8 @@ class Heard:
                 taxels=self._taxels if tactile.tared else None,
             )
         if power is not None:
-            values.update(
-                contactor_closed=power.contactor_closed,
-                charge_current=power.charge_current,
-                least_current=power.charge_current_least,
-                target_voltage=power.target_voltage,
-                battery_voltage=power.battery_voltage,
-                power_fault=power.fault,
-                stage_steps_up=power.stage_steps_up,
-                stage_voltage=power.stage_voltage,
-            )
+            values.update({name: getattr(power, name) for name in _POWER})
+            values.update(least_current=power.charge_current_least, power_fault=power.fault)
         return Observation(
             time=now,
             replies=tuple(map(self._frame_check.checked, replies)),

@@ -33,6 +33,8 @@ IMAGE_ALONE = "image"
 """`ElectrodeDetection.source` of a pose without depth."""
 _SAME = 1e-3  # rad; accepted difference of a detection's roll and orientation
 _ABOUT_X, _ABOUT_Y, _ABOUT_Z = 21, 28, 35  # in a 6 × 6 covariance, row-major: variances of the rotations, rad²
+GIVEN = ("critical_angle", "start_charging", "hold", "stop_energy", "request_id", "target_profile")
+"""Fields of a Dock goal that have the same names in docking's own."""
 MEASURED = (
     *("aligned", "alignments", "contact_current", "contact_force", "charge_current", "energy"),
     *("contact_force_min", "contact_force_max", "charge_end", "charge_voltage"),
@@ -96,9 +98,8 @@ def electrodes(message: PoseStamped, charger: Sequence[float] = IDENTITY) -> Ele
         charger: charger_base in the goal's frame.
 
     Raises:
-        Rejected: as `check_numbers`, or a z axis that leans from charger_base's by more than _LEAN_MAX.
+        Rejected: a z axis that leans from charger_base's by more than _LEAN_MAX.
     """
-    check_numbers(message)
     if not message.header.frame_id:
         return None
     turn, point = message.pose.orientation, message.pose.position

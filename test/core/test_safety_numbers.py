@@ -26,7 +26,6 @@ from deltacharger_core.script import NEXT
 from deltacharger_core.servo_types import MX_64, XM430_W350, MeasuredServos, ServoType
 from deltacharger_docking import (
     algorithm,
-    arm,
     charging,
     clearance,
     codes,
@@ -35,6 +34,7 @@ from deltacharger_docking import (
     energy,
     goals,
     machine,
+    parameters,
     place,
     press,
     release,
@@ -901,7 +901,7 @@ CONSTANTS: dict[str, tuple[float, float]] = {
     "MEASURE, s": (touch.MEASURE_TIMEOUT, 10.0),
     "ALIGN, s": (press.ALIGN_TIMEOUT, 45.0),
     "RETRACT, s": (release.RETRACT_TIMEOUT, 20.0),
-    "push above the band, A": (arm._PUSH_ABOVE, 0.2),
+    "push above the band, A": (parameters._PUSH_ABOVE, 0.2),
     "step above the band, A": (press._STEP_ABOVE, 0.1),
     "overshoots": (press._OVERSHOOTS_MAX, 3),
     "pull, s": (release._RELEASE_TIME, 1.0),
@@ -923,7 +923,7 @@ def test_the_numbers_of_docking_fit_each_other() -> None:
     """What were contradictions between parameters, before these became constants."""
     lowest = DockingParameters(current_min=0.15, current_max=0.19)
     assert release.FREE_CURRENT < contact.CONTACT_LOST_CURRENT <= lowest.current_min
-    assert lowest.current_max + press._STEP_ABOVE < arm.push_current(lowest)
+    assert lowest.current_max + press._STEP_ABOVE < lowest.push_current
     assert clearance.CLEARANCE_SIGMAS < clearance.CLEARANCE_SIGMAS_SURE
     assert energy._OPENING_TIME + 0.2 < energy.OPEN_TIMEOUT  # s until charger_power shows it at the latest
     slowest = {each.name: each.low for each in declared(DockingParameters) if each.name.endswith("_speed")}

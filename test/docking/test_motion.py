@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from deltacharger_core.machine import TORQUE_CONSTANT
-from deltacharger_docking.arm import Planner, push_current
+from deltacharger_docking.arm import Planner
 from deltacharger_docking.codes import Code, State, Unreachable
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import DockGoal, ElectrodePose
@@ -49,7 +49,7 @@ def test_commands_lead_the_line_by_the_servos_yield_under_the_arms_weight() -> N
 def test_each_servo_may_push_by_the_same_current_above_its_holding_current() -> None:
     last = PLANNER.line(HOME, STANDOFF, 0.12)[-1]
     held = np.abs(DELTA.holding_torque(STANDOFF, PARAMETERS.gravity))
-    assert np.allclose(np.subtract(last.torque_bound, held), push_current(PARAMETERS) * TORQUE_CONSTANT, atol=1e-12)
+    assert np.allclose(np.subtract(last.torque_bound, held), PARAMETERS.push_current * TORQUE_CONSTANT, atol=1e-12)
 
 
 def test_commands_stay_inside_the_joint_limits_and_rest_where_they_are_cut() -> None:
