@@ -14,10 +14,8 @@ import json
 import os
 import socket
 import socketserver
-import stat
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -30,10 +28,10 @@ SOCKET = runtime.CONTROL
 _LONGEST_LINE = 16384  # bytes of a request
 _LONGEST_ANSWER = 2**18  # bytes
 _PATIENCE = 1.0  # s for a client to send its line and take the answer
-_PAUSE = 0.02  # s before the next attempt to connect
-_QUEUE = 64  # clients that wait to be accepted
+_QUEUE = 128  # clients that wait to be accepted
 _POLL = 0.05  # s until a server notices that it is to end
-_LONGEST_PATH = 100  # bytes of a socket's path that every system accepts
+
+_ENTRY = {"kind", "servo", "amount", "remaining_s"}  # keys of an active fault
 
 Answer = dict[str, Any]
 
@@ -66,9 +64,10 @@ class Registration:
 
 def _listens(path: Path) -> bool:
     try:
-        with socket.socket(socket.AF_UNIX) as connection, _short(path) as address:
-            _connect(connection, address, _PATIENCE)
-    except TimeoutError:  # a process listens, but hangs
+        with socket.socket(socket.AF_UNIX) as connection:
+            connection.settimeout(_PATIENCE)
+            connection.connect(str(path))
+    except BlockingIOError:  # a process listens, but hangs
         return True
     except OSError:
         return False
@@ -119,24 +118,19 @@ class ControlServer:
                 self.wfile.write(json.dumps(reply).encode() + b"\n")
 
         self._path = path
-        with contextlib.suppress(FileNotFoundError):
-            if stat.S_ISSOCK(path.lstat().st_mode):
-                path.unlink()
-        with _short(path) as address:
-            self._server = _Server(address, Conversation)
+        if path.is_socket():
+            path.unlink()
+        self._server = _Server(str(path), Conversation)
         path.chmod(0o600)
-        self._made = path.stat().st_ino
         self._thread = threading.Thread(target=self._server.serve_forever, args=(_POLL,), daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        """Stop answering and remove the socket, unless another charger has replaced it."""
+        """Stop answering and remove the socket."""
         self._server.shutdown()
         self._thread.join()
         self._server.server_close()
-        with contextlib.suppress(OSError):
-            if self._path.lstat().st_ino == self._made:
-                self._path.unlink()
+        self._path.unlink(missing_ok=True)
 
 
 def _answered(handler: Callable[[Any], Answer], line: bytes) -> Answer:
@@ -163,8 +157,9 @@ def ask(path: Path, request: Answer, timeout: float = 10.0) -> Answer:
         OSError: the answer is late or invalid, or the user may not connect.
     """
     try:
-        with socket.socket(socket.AF_UNIX) as connection, _short(path) as address:
-            _connect(connection, address, timeout)
+        with socket.socket(socket.AF_UNIX) as connection:
+            connection.settimeout(timeout)
+            connection.connect(str(path))
             connection.sendall(json.dumps(request).encode() + b"\n")
             line = connection.makefile("rb").readline(_LONGEST_ANSWER)
     except FileNotFoundError as error:
@@ -180,43 +175,8 @@ def ask(path: Path, request: Answer, timeout: float = 10.0) -> Answer:
     return dict(reply)
 
 
-def _connect(connection: socket.socket, address: str, timeout: float) -> None:
-    """Connect, even while the server's queue is full, and bound each later step; TimeoutError if nobody accepts."""
-    end = time.monotonic() + timeout
-    connection.settimeout(timeout)
-    while True:
-        try:
-            return connection.connect(address)
-        except BlockingIOError as error:
-            if time.monotonic() >= end:
-                raise TimeoutError("the connection was not accepted") from error
-            time.sleep(_PAUSE)
-
-
 def _is_answer(reply: Any) -> bool:
-    if not isinstance(reply, dict):
-        return False
-    if reply.get("success") is not True:
-        return isinstance(reply.get("error"), str)
+    if not isinstance(reply, dict) or reply.get("success") is not True:
+        return isinstance(reply, dict) and isinstance(reply.get("error"), str)
     active = reply.get("active")
-    return isinstance(active, list) and all(_is_active(each) for each in active)
-
-
-def _is_active(each: Any) -> bool:
-    if not isinstance(each, dict) or not {"kind", "servo", "amount"} <= set(each):
-        return False
-    numbers = (each["amount"], each.get("remaining_s"))
-    return isinstance(each["kind"], str) and all(isinstance(number, float | int | None) for number in numbers)
-
-
-@contextlib.contextmanager
-def _short(path: Path) -> Iterator[str]:
-    """Yield a socket name that fits into an address, which holds 108 bytes."""
-    if len(os.fsencode(path)) <= _LONGEST_PATH:
-        yield str(path)
-        return
-    folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        yield f"/proc/self/fd/{folder}/{path.name}"
-    finally:
-        os.close(folder)
+    return isinstance(active, list) and all(isinstance(each, dict) and set(each) >= _ENTRY for each in active)

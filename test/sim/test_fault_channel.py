@@ -178,7 +178,6 @@ def test_an_endless_answer_is_given_up(place: Path) -> None:
         b'{"success": true}\n',
         b'{"success": false, "error": {}}\n',
         b'{"success": true, "active": [{"kind": "board_drop"}]}\n',
-        b'{"success": true, "active": [{"kind": "a", "servo": 1, "amount": "much"}]}\n',
     ],
 )
 def test_another_answering_program_is_reported(place: Path, capsys: pytest.CaptureFixture[str], reply: bytes) -> None:
