@@ -16,11 +16,10 @@ from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_kinematics.trajectory_feed import Waypoint
 from deltacharger_lab.campaigns import docking
 from deltacharger_lab.campaigns.disturbances import LASTS, high_row, watched_after
-from deltacharger_lab.campaigns.docking import columns, dock_once, make_charger
+from deltacharger_lab.campaigns.docking import dock_once, make_charger
 from deltacharger_lab.campaigns.draw import Drawn, draw
 from deltacharger_lab.campaigns.parts import assumed_geometry, build_parts
 from deltacharger_lab.campaigns.scene import load_campaign_scene
-from deltacharger_sim.pads import ContactSource
 from test.marks import rest
 
 from .campaigns import QUICK, comparable, scene
@@ -165,34 +164,3 @@ def test_charging_continues_after_a_nudge_with_clearance() -> None:
     row = nudged(x=0.001, after=1.5)
     assert (row["ended"], math.isnan(row["nudge_opened"])) == ("", True)
     assert row["energised"] > 1.5 + watched_after()
-
-
-def test_before_the_nudge_the_docking_is_unchanged_and_one_before_the_outcome_belongs_to_it() -> None:
-    plain, row = docked(), docked(nudge={"y": 0.002, "roll": 0.02})
-    for name in ("seed", "goal_x", "place_y", "time", "final_vertical", "estimated_angle", "moves", "last_clearance"):
-        assert row[name] == plain[name], name
-    row = nudged(friction=0.02, y=0.012, roll=0.15, after=0.3)
-    assert (row["charged"], row["shorts"]) == (False, 1)
-    assert 0.0 < row["nudge_opened"] < 1.0
-
-
-@pytest.mark.rest
-def test_second_pads_are_made_by_name_and_pairs_stay_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
-    made: list[str] = []
-
-    def make(kind: str, tactile: Any, _: Any, *seeds: int) -> ContactSource:
-        made.append(kind)
-        return ContactSource(tactile, *seeds)
-
-    monkeypatch.setattr(docking, "make_pads", make)
-    chosen = {"pads": {"choose": ["first", "second"]}}
-    rows = [docked(number == 0, number, **chosen) for number in range(6)]
-    assert [row["pads"] for row in rows] == made
-    assert set(made) == {"first", "second"}
-    assert columns(scene({**QUICK, **chosen}))["pads"][0] is str
-    plain = [docked(number == 0, number) for number in range(6)]
-    first = [number for number, kind in enumerate(made[:6]) if kind == "first"]
-    same = [{name: rows[number][name] for name in plain[0]} for number in first]
-    assert comparable(same) == comparable([plain[number] for number in first])
-    for name in ("seed", "rig_seed", "goal_x", "place_roll", "world.servo.stiffness"):
-        assert [row[name] for row in rows] == [row[name] for row in plain]

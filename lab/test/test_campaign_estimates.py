@@ -55,24 +55,6 @@ def test_without_errors_an_estimate_is_unchanged_and_bias_and_scale_are_exact() 
     assert (one.sure, one.in_range, one.contact) == (ESTIMATE.sure, ESTIMATE.in_range, ESTIMATE.contact)
 
 
-@pytest.mark.rest
-@pytest.mark.parametrize(("tail", "beyond_5"), [(1e6, 0.0), (3.0, 0.003)])
-def test_tails_have_the_reported_width_and_the_weight_of_students_t(tail: float, beyond_5: float) -> None:
-    _, found = answers(EstimatorErrors(tail=tail, stddev_scale=0.5), 6000)
-    x, y, angle = TRUTH
-    across = y * math.cos(angle) - x * math.sin(angle)
-    for axis, real in (("horizontal", x), ("across", across), ("angle", angle)):
-        z = np.array([getattr(each, axis) - real for each in found]) / getattr(ESTIMATE, f"{axis}_stddev")
-        assert np.mean(z) == pytest.approx(0.0, abs=0.05)
-        # Half of the draws of a unit-variance t lie within 0.765 / √3 for 3 degrees of freedom, 0.674 for very many.
-        half = 0.765 / math.sqrt(3.0) if tail == 3.0 else 0.6745
-        assert np.mean(np.abs(z) < half) == pytest.approx(0.5, abs=0.025)
-        assert np.mean(np.abs(z) > 5.0) == pytest.approx(beyond_5, abs=0.003)
-        assert (np.mean(np.abs(z) > 5.0) > 0.0) == (beyond_5 > 0.0)
-    for each in found:  # the vertical offset follows from the two, at the true angle
-        assert each.vertical == pytest.approx((each.across + each.horizontal * math.sin(angle)) / math.cos(angle))
-
-
 def test_estimates_without_contact_are_counted_and_have_no_error() -> None:
     stand_in = charger(None)
     log = EstimateLog(stand_in, EstimatorErrors(tail=3.0), 1)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from deltacharger_core.parameters import Declaration, ParameterError, declared
-from deltacharger_lab.campaigns.draw import draw, zero_angle
+from deltacharger_lab.campaigns.draw import draw
 from deltacharger_lab.campaigns.keys import TAKEN, EstimatorErrors, known_keys
 from deltacharger_lab.campaigns.parts import build_parts, read_spread
 from deltacharger_lab.campaigns.scene import (
@@ -24,7 +24,6 @@ from deltacharger_lab.campaigns.scene import (
     parse_campaign_scene,
 )
 from deltacharger_scenes.scene import SceneError
-from deltacharger_sim.circuit import Overlap
 from deltacharger_sim.parameters import WorldParameters
 from test.marks import night
 
@@ -167,22 +166,6 @@ def test_errors_of_vision_stay_within_the_limit_at_contact() -> None:
     assert np.max(np.abs(places - goals[:, :2])) <= 0.01
     assert np.min(np.abs(places - goals[:, :2]), axis=0) == pytest.approx((0.0, 0.0), abs=0.001)
     assert np.std(goals[:, 2]) == pytest.approx(0.005, rel=0.2)
-
-
-def test_near_zero_clearance_the_wrong_bars_nearly_touch() -> None:
-    scene = parse_campaign_scene({"shift": {"y": [-0.006, 0.006], "beyond_zero": [-0.01, 0.01]}}, "x")
-    below = sides = 0
-    for one in scattered(scene, 60):
-        target = one.world.target
-        x, y = target.x - one.goal.position[0], target.y - one.goal.position[1]
-        true = Overlap(x, y, target.roll).clearance
-        assert abs(true) < 0.0008  # 0.01 rad · 35 mm and the formula's error against the geometry
-        below += true < 0.0
-        sides += target.roll > 0.0
-    assert 12 < below < 48
-    assert 18 < sides < 42
-    assert math.degrees(zero_angle(0.0, 0.0037, 0.035)) == pytest.approx(12.07, abs=0.005)
-    assert zero_angle(0.06, 0.0037, 0.035) == 0.0
 
 
 def test_a_scene_inherits_the_keys_that_it_does_not_set(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ import deltacharger_tactile
 from deltacharger_lab.training import reliability, splits
 from deltacharger_lab.training.classifier import DEFAULT, TrainableClassifier
 from deltacharger_lab.training.judgement import evaluate_classifier
-from deltacharger_lab.training.reliability import WINDOW, Familiarity, Reliability
+from deltacharger_lab.training.reliability import WINDOW, Familiarity
 from deltacharger_sim.pads import Rig, generate_continuous, generate_paper, measure
 from deltacharger_tactile.classifiers import classifier, labels
 from deltacharger_tactile.classifiers.classifier import NAMES, Classifier
@@ -257,16 +257,6 @@ def test_gross_changes_show_in_each_frame_and_lost_rows_in_a_window(known: Known
     lost = frames.copy()
     lost[:, 0, 4:6] = 0.0
     assert fired(learnt, lost, 2 * WINDOW) > 0.5
-
-
-def test_saving_and_loading_preserve_the_statistics(known: Known) -> None:
-    learnt, frames = known
-    again = Reliability.from_dict(json.loads(json.dumps(Reliability(0.3, learnt).to_dict())))
-    for one, two in zip(*(each.distances(frames, THRESHOLD) for each in (learnt, again.familiar)), strict=True):
-        np.testing.assert_allclose(one, two, rtol=1e-3)
-    assert again.quantile == 0.3
-    with pytest.raises(ModelError, match=f"at least {WINDOW}"):
-        again.drifted_together(frames[: WINDOW - 1], THRESHOLD)
 
 
 def test_sets_of_held_out_frames_reach_nominal_coverage(known: Known) -> None:

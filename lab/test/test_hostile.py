@@ -175,15 +175,6 @@ def test_a_removed_fault_leaves_nothing_behind(name: str) -> None:
     assert bench.trial.next_onset() == math.inf
 
 
-def test_a_fault_flickers_between_onset_and_end() -> None:
-    acting = one("pads_half", flicker=5.0, lasts=1.0)
-    found = []
-    for tick in range(150):
-        acting.now = 0.01 * tick + 0.005
-        found.append(acting.active)
-    assert [sum(found[start : start + 10]) for start in range(0, 150, 10)] == [0, *[10, 0] * 5, 0, 0, 0, 0]
-
-
 def test_a_suspended_docking_is_not_stepped_and_loses_its_lease() -> None:
     bench = Bench(one("suspended", lasts=0.6))
     close(bench.charger)

@@ -14,11 +14,9 @@ from deltacharger_lab.reports.pool import ReportFailed, ReportTask, work
 from deltacharger_lab.reports.tactile import plan as tactile_plan
 from deltacharger_lab.reports.tactile import second
 from deltacharger_lab.reports.tactile.report import FIRES, HOLDS, NEITHER, shifts
-from deltacharger_lab.training.classifier import TrainableClassifier
 from deltacharger_lab.training.estimator import TrainablePoseEstimator
-from deltacharger_sim.pads import generate_continuous, generate_paper
+from deltacharger_sim.pads import generate_continuous
 from deltacharger_tactile.classifiers.classifier import Classifier
-from deltacharger_tactile.dataset import SUBSET_ANGLE
 from deltacharger_tactile.estimator import Estimate, to_seat
 
 KEYS = ("threshold", "frames", "physics")
@@ -70,28 +68,6 @@ def test_an_act_without_clearance_is_unsafe(monkeypatch: pytest.MonkeyPatch, exa
     row = second._counts(data, 0.25)
     assert row["acts"] > 50
     assert 0.2 * most * row["n"] <= row["unsafe"] <= most * row["n"], "most of ±12 mm and ±20° leaves no clearance"
-
-
-@pytest.mark.rest
-def test_models_trained_on_the_first_physics_stay_unchanged(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("sklearn", reason="trains with deltacharger-lab[train]")
-    from deltacharger_lab.reports.tactile.measure import fitted
-    from deltacharger_tactile.classifiers import labels
-
-    known = generate_paper(rigs=(860,), seed=3, threshold=0.0)
-    rows = labels.examples(known, "angle")
-    model = fitted("lda", "angle", rows, 3)
-    half = np.arange(len(rows)) % 2 == 0
-    model.calibrate(rows.frames[~half], rows.labels[~half], rows.frames[half])
-    monkeypatch.setattr(TrainableClassifier, "fit", refuse)
-    models, subset = {("lda", "angle"): model}, known.subset == SUBSET_ANGLE
-    (found,) = second.judge_models(models, known, subset, (860, 3), lambda *_: [0.5, 1.0])
-    usual = {"model": "lda", "target": "angle", "accuracy": 0.95, "coverage": 0.95, "act_rate": 0.9, "drift_rate": 0.0}
-    (row,) = second.table([found, found], [usual | {"windows": [0.0, 0.0]}])
-    assert row["first"]["accuracy"] == 0.95
-    assert row["second"] == {key: pytest.approx(found[key]) for key in (*second.SHARES, "windows")}
-    assert 1.0 / 6.0 < row["second"]["accuracy"] < 0.95
-    assert row["second"]["drift_rate"] > 0.2, "frames of which most taxels tell nothing"
 
 
 def test_a_verdict_needs_coverage_or_an_alarm() -> None:

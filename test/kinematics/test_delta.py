@@ -149,8 +149,7 @@ def test_angle_offset_is_true_angle_minus_commanded_angle() -> None:
 
 
 LIMBS = Status.LIMB_0 | Status.LIMB_1 | Status.LIMB_2
-# Powers of two, so that the edge of reach is a double: motor axis 0.125 outward of the joint, arm 0.25, rod 0.5.
-BINARY = DeltaGeometry(base_radius=0.25, platform_radius=0.125, arm=0.25, rod=0.5, z_offset=0.5)
+# Powers of two, so that a platform joint lies exactly on its motor axis.
 SQUARE = DeltaGeometry(base_radius=0.25, platform_radius=0.125, arm=0.25, rod=0.25, z_offset=0.5)
 LONG_ARM = Delta(DeltaGeometry(arm=0.25, rod=0.125, base_radius=0.25, platform_radius=0.25, z_offset=0.0))
 
@@ -207,15 +206,6 @@ def test_out_of_reach_states_reason_and_limb(delta: Delta, point: tuple[float, f
     assert reason in solved.status
     assert np.isnan(solved.angles).tolist() == limbs
     assert solved.margin < 0.0
-
-
-@pytest.mark.parametrize(("x", "angle"), [(0.125 + 0.75, 0.0), (0.125 + 0.25, math.pi)])
-def test_exactly_at_the_edge_there_is_an_angle_and_no_margin(x: float, angle: float) -> None:
-    solved = alone_and_in_a_batch(Delta(BINARY), (x, 0.0, -0.5))
-    assert solved.angles[0] == angle
-    assert np.isnan(solved.angles[1:]).all() or solved.margin == 0.0
-    if solved.margin == 0.0:
-        assert Status.NEAR_TYPE_1 | Status.LIMB_0 in solved.status
 
 
 @pytest.mark.parametrize("distance", [0.0, 5e-324, 1e-20])
@@ -277,24 +267,6 @@ def test_elbows_in_a_line_or_too_far_apart() -> None:
         assert np.ravel(batch.status)[1] == delta.forward((0.1, 0.2, 0.3)).status
     assert np.isnan(ScalarDelta(level.geometry).forward(*straight_up)).all()
     assert np.isnan(ScalarDelta(apart.geometry).forward(0.0, 0.0, 0.0)).all()
-
-
-@pytest.mark.parametrize("scale", [1e-3, 1e3])
-@pytest.mark.parametrize(("arm", "rod"), [(0.1, 0.1001), (0.001, 1.0), (0.18, 0.17)])
-def test_round_trips_of_robots_large_and_small(scale: float, arm: float, rod: float) -> None:
-    """The round-trip error grows only with 1/|det|, as expected from rounded angles."""
-    geometry = DeltaGeometry(base_radius=0.055, platform_radius=0.05, arm=arm, rod=rod, z_offset=0.1)
-    lengths = ("base_radius", "platform_radius", "arm", "rod", "z_offset")
-    delta = Delta(dataclasses.replace(geometry, **{name: scale * getattr(geometry, name) for name in lengths}))
-    arms = np.random.default_rng(6).uniform(-1.2, 1.2, (1000, 3))
-    points = delta.forward(arms).position
-    solved = delta.inverse(points)
-    good = (np.asarray(solved.status) & (NO_ANSWER | Status.WRONG_ASSEMBLY | Status.NEAR_TYPE_1)) == 0
-    assert good.sum() > 25
-    points = points[good]
-    error = np.linalg.norm(delta.forward(solved.angles[good]).position - points, axis=1)
-    determinant = np.abs(delta.jacobian(points).determinant)
-    assert (error <= 1e-15 * (arm + rod) * scale / determinant).all()
 
 
 def test_a_singular_pose_is_flagged_and_does_not_affect_its_neighbours() -> None:
