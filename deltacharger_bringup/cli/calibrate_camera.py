@@ -63,7 +63,6 @@ def add_camera(parser: argparse.ArgumentParser) -> None:
     add("--views", metavar="FOLDER", help="images and views.csv, see docs/camera-calibration.md")
     add("--print", metavar="FILE.svg", help="only draw the board at true size, for a printer")
     add("--out", metavar="FILE", help="write the mount, for the parameter mount_file")
-    add("--camera-info", metavar="K.yaml", help="intrinsics (FOLDER/camera_info.yaml)")
     add("--geometry", metavar="FILE", help="calibrated geometry of the arm (default: the built-in one)")
     text = "believed mount, for comparison and for the choice of positions (default: nominal)"
     add("--mount", metavar="FILE", help=text)
@@ -79,8 +78,6 @@ def add_camera(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument_group("prior knowledge, as standard deviations").add_argument
     text = "of the board's measured centre, each direction (0.5)"
     add("--board-stddev-mm", type=between(0.0, 50.0), default=0.5, metavar="MM", help=text)
-    text = "of the constant error of each arm angle (0.1)"
-    add("--joint-stddev-deg", type=between(0.0, 10.0), default=0.1, metavar="DEG", help=text)
     add = parser.add_argument_group("with a running charger").add_argument
     add("--take", type=integer(5, 500), metavar="N", help="first fill FOLDER up to N views; 20 are enough")
     add("--z-max-mm", type=between(5.0, 110.0), default=60.0, metavar="MM", help="largest z of the platform (60)")
@@ -143,20 +140,12 @@ def _offset(options: argparse.Namespace) -> Vector:
 def _judge(options: argparse.Namespace, board: Board, offset: Vector, geometry: DeltaGeometry) -> _Judged:
     folder = Path(options.views)
     rows = read_rows(folder)
-    info = folder / CAMERA_INFO if options.camera_info is None else Path(options.camera_info)
-    if not info.is_file():
-        raise WrongInput(f"{info}: there is no such file; put it there, or give --camera-info")
-    intrinsics = load_camera_info(info)
+    intrinsics = load_camera_info(folder / CAMERA_INFO)
     seen = gather(folder, rows, board, intrinsics, geometry)
     if not seen.views:
         hint = f"is it sharp, lit, not cut off, and {board.name} at all?"
         raise CommandError(f"none of {len(rows)} images shows the board: {hint}", views=len(rows))
-    beliefs = Beliefs(
-        offset,
-        offset_stddev=options.board_stddev_mm * MILLIMETRE,
-        joint_stddev=math.radians(options.joint_stddev_deg),
-    )
-    found = calibrate(seen.views, intrinsics, beliefs)
+    found = calibrate(seen.views, intrinsics, Beliefs(offset, options.board_stddev_mm * MILLIMETRE))
     away = _away(found.mount, Mount.load(options.mount) if options.mount else Mount.default())
     remarks = [*notes(found, seen.names), *_slips(away)]
     if seen.without:
@@ -197,32 +186,17 @@ def _rms(values: Any) -> float:
 
 
 def _as_mapping(judged: _Judged) -> dict[str, Any]:
-    """Return everything in SI units, for the JSON object."""
+    """Return the mount and its quality in SI units, for the JSON object."""
     found = judged.found
-    kept = found.fit.kept
-    moves = np.linalg.norm(found.fit.apart.moves, axis=1)
     return {
         "frame": "charger_base",
         "position": found.mount.pose[:3, 3].tolist(),
         "orientation": quaternion(found.mount.pose[:3, :3]).tolist(),
         "covariance": found.mount.covariance.tolist(),
         "dock_stddev": _point_stddev(found),
-        "from_believed": {"distance": judged.away[0], "rotation": judged.away[1]},
         "views": len(judged.seen.names),
-        "left_out": [name for name, good in zip(judged.seen.names, kept, strict=True) if not good],
-        "without_board": list(judged.seen.without),
-        "reprojection_rms": _rms(found.reprojection[kept]),
-        "residual": {"rms": _rms(moves[kept]), "largest": float(moves[kept].max())},
-        "held_out": {
-            "images": [judged.seen.names[index] for index in found.held_out],
-            "errors": found.held_out_errors.tolist(),
-            "rms": held_out_rms(found),
-        },
-        "corner_stddev": found.fit.spread.pixel,
-        "arm_stddev": found.fit.spread.arm,
-        "size": {"factor": found.size, "stddev": found.size_stddev},
-        "board_orientation": quaternion(found.board).tolist(),
-        "joints": {"error": found.joints[0].tolist(), "stddev": found.joints[1].tolist()},
+        "left_out": [name for name, good in zip(judged.seen.names, found.fit.kept, strict=True) if not good],
+        "held_out": {"images": [judged.seen.names[index] for index in found.held_out], "rms": held_out_rms(found)},
         "notes": judged.notes,
         "doubts": judged.doubts,
     }
@@ -260,8 +234,7 @@ def _three(values: Any, errors: Any, digits: int) -> str:
 
 
 def _about(options: argparse.Namespace, board: Board, judged: _Judged) -> dict[str, Any]:
-    """Return the origin of the mount for its file; lengths in m, angles in rad."""
-    found = judged.found
+    """Return the origin of the mount for its file; lengths in m."""
     return {
         "by": "deltacharger calibrate camera",
         "date": f"{datetime.datetime.now(datetime.timezone.utc):%Y-%m-%dT%H:%MZ}",
@@ -271,13 +244,7 @@ def _about(options: argparse.Namespace, board: Board, judged: _Judged) -> dict[s
         "board": board.name,
         "board_size": board.size,
         "board_offset": [MILLIMETRE * getattr(options, f"board_{axis}_mm") for axis in "xyz"],
-        "board_offset_stddev": MILLIMETRE * options.board_stddev_mm,
         "images": len(judged.seen.names),
-        "left_out": int(np.count_nonzero(~found.fit.kept)),
-        "reprojection_rms_px": round(_rms(found.reprojection[found.fit.kept]), 4),
-        "held_out": len(found.held_out),
-        "held_out_rms": round(held_out_rms(found), 6),
-        "dock_stddev": round(_point_stddev(found), 6),
-        "size_factor": round(found.size, 5),
+        "held_out_rms": round(held_out_rms(judged.found), 6),
         "doubts": judged.doubts,
     }

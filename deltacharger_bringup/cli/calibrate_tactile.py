@@ -18,8 +18,7 @@ from deltacharger_bringup.cli.arguments import file_to_read, file_to_write, inte
 from deltacharger_bringup.cli.output import Result, WrongInput, conclude, wrong_input
 from deltacharger_core.files import sha256
 from deltacharger_tactile import MODEL_PATH
-from deltacharger_tactile.calibration import fit as sensor_calibration_fit
-from deltacharger_tactile.calibration import fit as sensor_faults
+from deltacharger_tactile.calibration import fit as pad_fit
 from deltacharger_tactile.calibration.fit import JITTER, MISFIT_LIMIT, KnownDockings, PadFaults, PadFit, Tares, Worth
 from deltacharger_tactile.calibration.rig import AXES, SHIFT_LIMIT, SIDES, TactileCalibration
 from deltacharger_tactile.dataset import Dataset
@@ -71,15 +70,15 @@ def _read(options: argparse.Namespace) -> tuple[Dataset, PoseEstimator]:
 
 
 def _calibrate(data: Dataset, model: PoseEstimator, options: argparse.Namespace) -> _Found:
-    dockings = sensor_faults.select(data, options.rig)
-    faults = sensor_faults.find(dockings)
-    tares = sensor_faults.compare_tares(dockings, faults.dead)
+    dockings = pad_fit.select(data, options.rig)
+    faults = pad_fit.find(dockings)
+    tares = pad_fit.compare_tares(dockings, faults.dead)
     pads = _doubts_of_pads(faults, tares, model)
     try:
-        fit = sensor_calibration_fit.fit(dockings, model)
+        fit = pad_fit.fit(dockings, model)
     except SensorCalibrationError as error:
         raise WrongInput("; ".join([str(error), *pads]), file=options.data) from error
-    worth = sensor_calibration_fit.judge(dockings, model)
+    worth = pad_fit.judge(dockings, model)
     stamped = dataclasses.replace(
         fit.calibration,
         sensor=str(data.meta.get("sensor", "")),
@@ -144,39 +143,19 @@ def _seen(calibration: TactileCalibration) -> NDArray[np.float64]:
 
 
 def _as_mapping(found: _Found) -> dict[str, Any]:
-    """Return everything in SI units."""
-    fit, worth, made = found.fit, found.worth, found.fit.calibration
-    gains = _seen(made)
+    """Return the calibration's quality in SI units."""
+    worth, made = found.worth, found.fit.calibration
+    rms = zip(AXES, worth.before, worth.after, strict=True)
     return {
         "rig": made.rig,
         "simulated": made.simulated,
-        "model": made.model,
         "sha256": made.data,
         "dockings": made.dockings,
-        "in_range": fit.in_range,
         "dead": {name: np.argwhere(mask).tolist() for name, mask in _kinds(found.faults).items()},
-        "gain": {"stddev": float(gains.std()), "low": float(gains.min()), "high": float(gains.max())},
-        "misfit": fit.misfit,
-        "tare": {
-            "sessions": found.tares.sessions,
-            "drift": _largest(found.tares.drift),
-            "drifted": np.argwhere(found.tares.drifted).tolist(),
-            "outlying": np.argwhere(found.tares.outlying).tolist(),
-        },
-        "load_shift": {"found": fit.load_shift, "stddev": fit.load_shift_error, "used": made.load_shift},
-        "bias": {
-            axis: {"found": float(bias), "stddev": float(error), "used": float(used)}
-            for axis, bias, error, used in zip(AXES, fit.bias, fit.bias_error, made.bias, strict=True)
-        },
-        "held_out": {
-            "dockings": worth.count,
-            "against_contact_pose": worth.known,
-            "in_range": {"before": worth.in_range[0], "after": worth.in_range[1]},
-            "rms": {
-                axis: {"before": float(before), "after": float(after)}
-                for axis, before, after in zip(AXES, worth.before, worth.after, strict=True)
-            },
-        },
+        "misfit": found.fit.misfit,
+        "load_shift": made.load_shift,
+        "bias": dict(zip(AXES, map(float, made.bias), strict=True)),
+        "held_out": {axis: {"before": float(before), "after": float(after)} for axis, before, after in rms},
         "doubts": found.doubts,
     }
 

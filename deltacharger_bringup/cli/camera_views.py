@@ -5,13 +5,12 @@
     FOLDER/camera_info.yaml   as written by camera_calibration
     FOLDER/view_001.png …
 
-Columns of views.csv: image, and x_mm,y_mm,z_mm or x_m,y_m,z_m (end_effector in charger_base) or angle_0_rad,… or
-angle_0_deg,… (as servo_node reports them). Lines that start with # are comments.
+Columns of views.csv: image, and angle_0_rad,angle_1_rad,angle_2_rad as servo_node reports them. Lines that start with #
+are comments.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +22,7 @@ from numpy.typing import NDArray
 from deltacharger_core.files import append_text
 from deltacharger_core.texts import Picklable
 from deltacharger_core.yaml_file import write_yaml
-from deltacharger_kinematics.calibration.data import DEGREES, POSITION_COLUMNS, RADIANS, CalibrationError, read_table
+from deltacharger_kinematics.calibration.data import RADIANS, CalibrationError, read_table
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_vision.hand_eye.board import Board
@@ -33,12 +32,8 @@ from deltacharger_vision.images import Intrinsics, project, rgb8
 from deltacharger_vision.mount import Mount
 
 VIEWS = "views.csv"
-MOST = 2000
-"""Views in a folder."""
 _IMAGE = "image"
-_JOINTS = {RADIANS: 1.0, DEGREES: math.radians(1.0)}
-_GROUPS = POSITION_COLUMNS | _JOINTS
-_KNOWN = (_IMAGE, *(name for group in _GROUPS for name in group))
+_COLUMNS = (_IMAGE, *RADIANS)
 _INSET = 0.95  # of the workspace; a real arm reaches some millimetres less than its model
 _SPARE = 1.1  # of the board's half diagonal that must be in the image
 _NEAREST = 0.03  # m before the camera
@@ -61,12 +56,11 @@ class ViewsError(Picklable, ValueError):
 
 @dataclass(frozen=True)
 class Row:
-    """One row: the image's name, the line of the file, and the platform's position (m) or the arm's angles (rad)."""
+    """One row: the image's name, the line of the file, and the arm's angles (rad)."""
 
     image: str
     line: int
-    position: Vector | None
-    angles: Vector | None
+    angles: Vector
 
 
 @dataclass(frozen=True)
@@ -87,20 +81,21 @@ def read_rows(folder: Path) -> list[Row]:
     """
     path = folder / VIEWS
     if not path.is_file():
-        raise ViewsError(folder, f"contains no {VIEWS}; give a folder filled by --take, or write the file")
+        raise ViewsError(folder, f"contains no {VIEWS}; give a folder filled by --take")
     try:
-        table = read_table(path, _KNOWN, "docs/camera-calibration.md")
-        group = _group(path, table.names)
-        values = table.columns(group) * _GROUPS[group]
+        table = read_table(path, _COLUMNS, "docs/camera-calibration.md")
+        if set(table.names) != set(_COLUMNS):
+            raise ViewsError(path, f"give the columns {','.join(_COLUMNS)}")
+        values = table.columns(RADIANS).tolist()
     except CalibrationError as error:
         raise ViewsError(path, str(error)) from error
-    rows = [
-        _row(path, line, cells[_IMAGE], group, numbers)
-        for line, cells, numbers in zip(table.lines, table.rows, values.tolist(), strict=True)
-    ]
-    if len(rows) > MOST:
-        raise ViewsError(path, f"has {len(rows)} rows; give at most {MOST}")
-    _refuse_doubled(path, rows)
+    rows = []
+    for line, cells, (first, second, third) in zip(table.lines, table.rows, values, strict=True):
+        image = cells[_IMAGE]
+        if Path(image).suffix.lower() not in PICTURES or Path(image).name != image:
+            problem = f"line {line}: image '{image}'; give a {', '.join(PICTURES)} file of the same folder"
+            raise ViewsError(path, problem)
+        rows.append(Row(image, line, (first, second, third)))
     return rows
 
 
@@ -110,7 +105,7 @@ def gather(
     """Search the image of each row for the board.
 
     Raises:
-        ViewsError: an image differs in size from the intrinsics, or the arm cannot reach the position of a row.
+        ViewsError: an image differs in size from the intrinsics, or the arm cannot have the angles of a row.
         ImageError: a file is no image.
         OSError: an image cannot be read.
     """
@@ -161,7 +156,7 @@ class ViewsFolder:
         if any(path.name != CAMERA_INFO for path in folder.iterdir()):
             raise ViewsError(folder, f"contains other files and no {VIEWS}; give a new folder")
         write_yaml(folder / CAMERA_INFO, camera_info(intrinsics))
-        append_text(self._folder / VIEWS, f"{_IMAGE},{','.join(RADIANS)}\n")
+        append_text(self._folder / VIEWS, f"{','.join(_COLUMNS)}\n")
 
     def add(self, image: NDArray[np.uint8], angles: Vector) -> str:
         """Add an image (H, W, 3) and the arm's angles (rad) at it; return its name when both are stored."""
@@ -175,12 +170,12 @@ class ViewsFolder:
         from deltacharger_vision.cameras.ros_formats import load_camera_info
 
         rows = read_rows(self._folder)
-        ours = all(row.angles is not None and row.image == f"view_{n:03}.png" for n, row in enumerate(rows, start=1))
+        ours = all(row.image == f"view_{n:03}.png" for n, row in enumerate(rows, start=1))
         if not ours or not (self._folder / CAMERA_INFO).is_file():
             raise ViewsError(self._folder, "was not filled by --take; give a new folder")
         if load_camera_info(self._folder / CAMERA_INFO) != intrinsics:
             raise ViewsError(self._folder, "has other intrinsics than the camera has now; give a new folder")
-        self.angles = [row.angles for row in rows if row.angles is not None]
+        self.angles = [row.angles for row in rows]
 
 
 def camera_info(intrinsics: Intrinsics) -> dict[str, Any]:
@@ -195,39 +190,12 @@ def camera_info(intrinsics: Intrinsics) -> dict[str, Any]:
     }
 
 
-def _group(path: Path, names: Sequence[str]) -> tuple[str, ...]:
-    """Return the columns with the platform's position or the arm's angles."""
-    given = [group for group in _GROUPS if set(group) & set(names)]
-    if _IMAGE not in names or len(given) != 1 or not set(given[0]) <= set(names):
-        groups = " or ".join(",".join(group) for group in _GROUPS)
-        raise ViewsError(path, f"give the column {_IMAGE} and one of {groups}")
-    return given[0]
-
-
-def _row(path: Path, line: int, image: str, group: tuple[str, ...], values: Sequence[float]) -> Row:
-    if Path(image).suffix.lower() not in PICTURES or Path(image).name != image:
-        raise ViewsError(path, f"line {line}: image '{image}'; give a {', '.join(PICTURES)} file of the same folder")
-    first, second, third = values
-    numbers = (first, second, third)
-    return Row(image, line, *((None, numbers) if group in _JOINTS else (numbers, None)))
-
-
-def _refuse_doubled(path: Path, rows: Sequence[Row]) -> None:
-    lines: dict[str, int] = {}
-    for row in rows:
-        if row.image in lines:
-            first = lines[row.image]
-            raise ViewsError(path, f"line {row.line}: image {row.image} is already in line {first}; delete one of them")
-        lines[row.image] = row.line
-
-
 def _stand(path: Path, row: Row, kinematics: ScalarDelta) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the platform's position (3,) m and its derivative (3, 3) m/rad by the arm's angles."""
-    position = row.position or kinematics.forward(*(row.angles or (math.nan,) * 3))
+    position = kinematics.forward(*row.angles)
     slope = np.array(kinematics.jacobian(*position)).reshape(3, 3)
     if not np.isfinite(slope).all():
-        given = f"angles {row.angles} rad" if row.position is None else f"position {row.position} m"
-        raise ViewsError(path, f"line {row.line}: the arm cannot have the {given}; check the unit and --geometry")
+        raise ViewsError(path, f"line {row.line}: the arm cannot have the angles {row.angles} rad; check --geometry")
     return np.array(position), slope
 
 

@@ -235,7 +235,7 @@ def up(options: argparse.Namespace) -> Result:
         else:
             composition = stack.enter_context(start(scene, context, options.namespace))
             _print_nodes(composition)
-            log_line(_interfaces(composition))
+            log_line("no docking_node, so no goals are accepted")
             _print_ready(composition, options)
         while not interrupts.event.wait(0.5):
             raise_if_failed(composition)
@@ -302,9 +302,3 @@ def _with_options(scene: Scene, options: argparse.Namespace) -> Scene:
     except SceneError as error:
         problem = f"{error.file}: --{error.key.replace('_', '-')}: {error.problem}"
         raise WrongInput(problem, file=error.file, key=error.key) from error
-
-
-def _interfaces(composition: Composition) -> str:
-    """Return a line with the nodes of a scene that cannot dock."""
-    names = ", ".join(running.node.get_name() for running in composition.nodes)
-    return f"no docking_node, so no goals are accepted; this scene starts {names} (docs/topics.md)"

@@ -70,7 +70,7 @@ class PhasePrinter:
         force: returns the present contact force (N, NaN = unknown).
 
     Attributes:
-        phases: one mapping per phase: phase, start (s), z (m), contact_current (A), force (N), alignments.
+        phases: the first progress of each, with the force (N).
     """
 
     def __init__(self, force: Any = None) -> None:
@@ -82,16 +82,7 @@ class PhasePrinter:
         if self.phases and self.phases[-1]["phase"] == progress.phase:
             return
         force = float("nan") if self._force is None else self._force()
-        self.phases.append(
-            {
-                "phase": progress.phase,
-                "start": progress.time,
-                "z": progress.z,
-                "contact_current": progress.contact_current,
-                "force": force,
-                "alignments": progress.alignments,
-            }
-        )
+        self.phases.append({**asdict(progress), "force": force})
         columns = [f"{progress.time:7.2f} s", f"{progress.phase:<9}", f"z {figure(1e3 * progress.z, 'mm', 1, 7)}"]
         if progress.charge_current == progress.charge_current:
             columns.append(f"charge {figure(progress.charge_current, 'A', 2, 7)}")

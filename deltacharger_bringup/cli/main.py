@@ -80,7 +80,6 @@ LABORATORY = ("campaign", "report")
 HOW_TO_GET_IT = "install the laboratory: `make lab` in a clone of deltacharger, or `pip install` its folder lab"
 
 _SOON = 0.01  # s, after which an interruption is repeated
-_LONGEST_WORD = 4096  # characters; also the limit of a path
 
 _EXTRA_OF = {
     "scipy": "deltacharger[calibrate]",
@@ -147,7 +146,6 @@ def _run(words: list[str], commands: Mapping[str, Command] | None, prog: str) ->
     Parser.wants_json = "--json" in words
     options = argparse.Namespace(json=Parser.wants_json)
     try:
-        _require_plain(words)
         if commands is None:
             commands = COMMANDS if words and words[0] in COMMANDS else every_command()
             _require_laboratory(words, commands)
@@ -172,16 +170,6 @@ def _run(words: list[str], commands: Mapping[str, Command] | None, prog: str) ->
             raise
         result = known.result()
     return show(result, options.json)
-
-
-def _require_plain(words: list[str]) -> None:
-    """Refuse words that, when printed, would control the terminal, end the line or fill it."""
-    for word in words:
-        if streams.plain(word) != word:
-            shown = streams.plain(streams.shortened(word))
-            raise WrongInput(f"'{shown}' contains control characters: rename or retype it")
-        if len(word) > _LONGEST_WORD:
-            raise WrongInput(f"'{word[:20]}…' has {len(word)} characters, more than any name or path")
 
 
 def _require_laboratory(words: list[str], commands: Mapping[str, Command]) -> None:

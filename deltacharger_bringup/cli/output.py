@@ -7,7 +7,6 @@ import argparse
 import contextlib
 import errno
 import json
-import os
 import signal
 import sys
 import threading
@@ -78,17 +77,8 @@ def from_os_error(error: OSError, before: str = "") -> CommandError:
     """Return an error of the operating system as a CommandError; `before` begins the message."""
     code = WRONG_INPUT if is_wrong_path(error) else FAILED
     if isinstance(error, FileNotFoundError):
-        if error.filename is None and not _has_working_directory():
-            return CommandError("the working directory was removed: change to another one", code)
         return CommandError(f"{before}{error.filename or error}: there is no such file", code)
     return CommandError(f"{before}{error}", code)
-
-
-def _has_working_directory() -> bool:
-    try:
-        return bool(os.getcwd())
-    except OSError:
-        return False
 
 
 @contextlib.contextmanager

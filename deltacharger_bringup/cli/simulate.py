@@ -145,19 +145,7 @@ def _list(options: argparse.Namespace) -> Result:
         lines.append(f"{name:20} {kind.text}{amount}{servo}{'' if kind.lasts else '; momentary'}")
     begun = None if active is None else "active: " + ("; ".join(_named(each) for each in active) or "none")
     lines += ["", begun or _none_runs(options)]
-    return Result("\n".join(lines), {"kinds": [_described(name) for name in KINDS], "active": active})
-
-
-def _described(name: str) -> dict[str, Any]:
-    kind = KINDS[name]
-    amount = kind.amount
-    return {
-        "kind": name,
-        "text": kind.text,
-        "lasts": kind.lasts,
-        "servo": kind.servo or None,
-        "amount": amount and {"name": amount.name, "low": amount.low, "high": amount.high, "default": amount.default},
-    }
+    return Result("\n".join(lines), {"kinds": {name: kind.text for name, kind in KINDS.items()}, "active": active})
 
 
 def _named(each: dict[str, Any]) -> str:

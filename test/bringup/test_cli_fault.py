@@ -109,7 +109,7 @@ def test_without_a_charger_injection_fails_and_the_list_does_not(
     assert fault("--clear", "--directory", str(tmp_path))[0] == 1
     code, listed = fault("--list")
     assert (code, listed["active"]) == (0, None)
-    assert {each["kind"] for each in listed["kinds"]} == set(KINDS)
+    assert set(listed["kinds"]) == set(KINDS)
 
 
 def test_each_namespace_and_each_folder_has_its_own_faults(fault: Command, tmp_path: Path) -> None:

@@ -55,9 +55,8 @@ def test_the_calibration_is_printed_and_written(capsys: Capture, data: Path, rec
     assert (code, found["success"], found["written"], found["dockings"]) == (0, True, str(out), 40)
     assert len(found["dead"]["reported"]) == 1
     assert found["dead"]["silent"] == found["dead"]["loud"] == found["dead"]["noisy"] == found["doubts"] == []
-    assert 0.05 < found["gain"]["stddev"] < 0.25
-    assert abs(found["bias"]["vertical"]["used"]) <= abs(found["bias"]["vertical"]["found"]) < 1e-3
-    assert found["held_out"]["rms"]["vertical"]["after"] < 1e-3
+    assert abs(found["bias"]["vertical"]) < 1e-3
+    assert found["held_out"]["vertical"]["after"] < 1e-3
 
 
 def test_data_of_several_rigs_need_the_option_rig(capsys: Capture, tmp_path: Path) -> None:
