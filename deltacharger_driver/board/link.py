@@ -15,7 +15,6 @@ from deltacharger_core.real_time import Lateness
 from deltacharger_driver.board.protocol import (
     CLEAR_WELD,
     HEARTBEAT_PERIOD,
-    LONGEST_PING,
     LONGEST_SERVO,
     MINOR,
     OPEN,
@@ -387,15 +386,9 @@ class BoardLink:
         resistance, voltage = decode_probe(request.ack.data)
         return ProbeResult(resistance, voltage, request.received)
 
-    def ping(self, data: bytes | None = None) -> float:
-        """Send up to 64 bytes, have them returned, and return the round-trip time, s.
-
-        Raises:
-            ValueError: more than 64 bytes.
-        """
-        data = struct.pack("<Q", next(_PING_NUMBERS)) if data is None else data
-        if len(data) > LONGEST_PING:
-            raise ValueError(f"{len(data)} bytes; a PING carries at most {LONGEST_PING}")
+    def ping(self) -> float:
+        """Have some bytes returned, and return the round-trip time, s."""
+        data = struct.pack("<Q", next(_PING_NUMBERS))
         sent = time.monotonic()
         return self._ask(PacketType.PING, data).received - sent
 

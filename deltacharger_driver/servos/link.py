@@ -326,7 +326,7 @@ class ServoProtocol(Protocol2PacketHandler):  # type: ignore[misc]
             PortGone: the port vanished.
         """
         replies: dict[int, tuple[int, bytes]] = {}
-        self.send(port, ahead + sync_read_packet(address, length, tuple(servos)))
+        self.send(port, ahead + sync_read_packet(address, length, servos))
         port.setPacketTimeout((_SHORTEST + length) * len(servos))
         while len(replies) < len(servos):
             packet, result = self.rxPacket(port)

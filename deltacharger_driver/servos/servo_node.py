@@ -319,6 +319,19 @@ def _waypoint(point: JointTrajectoryPoint) -> ServoWaypoint:
     return ServoWaypoint(seconds(point.time_from_start), point.positions, point.effort)
 
 
+def _wait_for_board(port: Path) -> None:
+    """Wait for the servo port of tactile_node.
+
+    Raises:
+        NoServosBehindBoard: it does not appear.
+    """
+    end = time.monotonic() + _BOARD_TIMEOUT
+    while not port.exists():
+        if time.monotonic() > end:
+            raise NoServosBehindBoard(str(port))
+        time.sleep(_POLL_PERIOD)
+
+
 class ServoNode(Node):
     """See the module's docstring.
 
@@ -343,24 +356,23 @@ class ServoNode(Node):
         self._refused = 0  # refused trajectories that the diagnostics have reported
         self._cycles = RateMeter(time.monotonic)
         self._stop = threading.Event()
-        self._ready = threading.Event()
-        self._listening = threading.Event()
-        self._start_error: BaseException | None = None
-        self._thread = threading.Thread(target=self._run, name="servo bus", daemon=True)
-        self._thread.start()
-        self._ready.wait()
-        if self._start_error is not None:
-            self._thread.join()
-            self.destroy_node()
-            raise node_support.StartupError(f"servo_node: {self._start_error}") from self._start_error
         settings = self._controller.bus.settings
+        try:
+            if given.port == BEHIND_BOARD:
+                _wait_for_board(Path(settings.port))
+            self._controller.open()
+        except DriverError as error:
+            self._controller.close()
+            self.destroy_node()
+            raise node_support.StartupError(f"servo_node: {error}") from error
         self._lines.info(f"servos {settings.ids} at {settings.port}, {settings.baud_rate} baud")
         drive = self._controller.bus.drive
         self._tell_type(drive)
         # Only now: no trajectory may be accepted before the servos are known.
         largest = drive.current_max * drive.torque_constant * (1.0 + 1e-9)
         self._inbox = TrajectoryInbox(self, JointLimits(JOINTS, given.joint_min, given.joint_max, largest))
-        self._listening.set()
+        self._thread = threading.Thread(target=self._run, name="servo bus", daemon=True)
+        self._thread.start()
         group = ReentrantCallbackGroup()
         self.create_service(SetBool, "set_torque", self._on_set_torque, callback_group=group, qos_profile=SERVICE)
         self.create_service(Trigger, "reboot_servos", self._on_reboot, callback_group=group, qos_profile=SERVICE)
@@ -375,14 +387,15 @@ class ServoNode(Node):
         measured = SERVOS_FOLLOW if self.get_parameter("servos_file").value else {}
         self._unset = {name for name in OF_TYPE if name not in measured and not was_given(self, name)}
         chosen = {name: None if name in self._unset else getattr(given, name) for name in OF_TYPE}
+        is_behind_board = given.port == BEHIND_BOARD
         try:
             settings = BusSettings(
-                self._path_of(given.port),
+                str(runtime.servos(domain(), self.get_namespace())) if is_behind_board else given.port,
                 given.baud_rate,
                 given.ids,
                 given.zero_ticks,
                 given.direction,
-                reply_margin=given.reply_margin + BOARD_MARGIN * self._is_behind_board,
+                reply_margin=given.reply_margin + BOARD_MARGIN * is_behind_board,
                 torque_constant=chosen["torque_constant"],
                 current_max=chosen["current_max"],
                 gains=tuple(chosen[name] for name in GAINS),
@@ -404,43 +417,15 @@ class ServoNode(Node):
             text = ", ".join(f"{name} {value:.4g}" for name, value in found.items())
             self._lines.info(f"the servos are {drive.servo.name}; by their type {text}")
 
-    def _path_of(self, port: str) -> str:
-        """Return the path of the parameter `port`."""
-        self._is_behind_board = port == BEHIND_BOARD
-        return str(runtime.servos(domain(), self.get_namespace())) if self._is_behind_board else port
-
-    def _wait_for_board(self) -> None:
-        """Wait for the servo port of tactile_node.
-
-        Raises:
-            NoServosBehindBoard: it does not appear.
-        """
-        port, end = Path(self._controller.bus.settings.port), time.monotonic() + _BOARD_TIMEOUT
-        while not port.exists():
-            if time.monotonic() > end or self._stop.wait(_POLL_PERIOD):
-                raise NoServosBehindBoard(str(port))
-
     def _run(self) -> None:
         """Own the bus: cycle until `close` is called, then make the arm safe."""
-        controller = self._controller
-        try:
-            if self._is_behind_board:
-                self._wait_for_board()
-            controller.open()
-        except BaseException as error:
-            self._start_error = error
-            controller.close()
-            return
-        finally:
-            self._ready.set()
         try:
             self._cycle_until_safe()
         except BaseException as error:
-            controller.close()  # first: after an error of this thread the arm must have no torque
+            self._controller.close()  # first: after an error of this thread the arm must have no torque
             self._lines.error(f"servo bus thread ended: {error!r}; torque is off")
             raise
-        finally:
-            controller.close()
+        self._controller.close()
 
     def _cycle_until_safe(self) -> None:
         """Cycle at the rate until `close` was called, torque is off, and servo_state has reported it."""
@@ -460,7 +445,7 @@ class ServoNode(Node):
             if closing and off:
                 return
             now = time.monotonic()
-            refused = self._listening.is_set() and self._inbox.refused > self._refused
+            refused = self._inbox.refused > self._refused
             if now - diagnosed >= (_REFUSAL_PERIOD if refused else _DIAGNOSTICS_PERIOD):
                 diagnosed = now
                 self._publish_diagnostics(report)
@@ -471,18 +456,17 @@ class ServoNode(Node):
         controller = self._controller
         if report.phase is not ServoPhase.ON:
             self._contactor_state = self._contactor.state()
-        refused, total, forbidden = "", 0, 0
-        if self._listening.is_set():
-            total, forbidden, refused = self._inbox.refused, self._inbox.forbidden, self._inbox.last_refusal
-        level, message, values = bus_entry(report, controller, refused if total > self._refused else "")
-        self._refused = total
+        inbox = self._inbox
+        refused = inbox.last_refusal if inbox.refused > self._refused else ""
+        self._refused = inbox.refused
+        level, message, values = bus_entry(report, controller, refused)
         values |= {
             "rate": quantity(self._cycles.rate(), ".1f", "Hz"),
             "late_cycles": self._cycles.late,
             "contactor": self._contactor_state.name,
-            "refused_trajectories": total,
-            "forbidden_trajectories": forbidden,
-            "last_refusal": refused,
+            "refused_trajectories": inbox.refused,
+            "forbidden_trajectories": inbox.forbidden,
+            "last_refusal": inbox.last_refusal,
         }
         settings, hot = controller.bus.settings, controller.bus.drive.servo.temperature_limit
         statuses = [self._diagnostics.status(level, message, values, "servo bus", settings.port)]
@@ -494,8 +478,6 @@ class ServoNode(Node):
 
     def _take_trajectory(self) -> None:
         """Pass a received trajectory to the controller or refuse it; hold while the contactor is closed."""
-        if not self._listening.is_set():
-            return
         controller, inbox = self._controller, self._inbox
         state = ContactorState.OPEN  # without torque every trajectory is refused
         if controller.phase is ServoPhase.ON:

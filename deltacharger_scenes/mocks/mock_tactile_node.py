@@ -42,7 +42,7 @@ from deltacharger_core.machine import (
 )
 from deltacharger_driver.board.contactor import ContactorLease, LeaseRefused
 from deltacharger_driver.board.protocol import Power, PowerSample, TactileSample
-from deltacharger_driver.board.tactile_node_io import BATTERY_PERIOD, BatteryPublishers, SamplePublishers, limits_of
+from deltacharger_driver.board.tactile_node import BATTERY_PERIOD, BatteryPublishers, SamplePublishers, limits_of
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import node_support, qos
 from deltacharger_ros.clock import steady_timer

@@ -9,7 +9,7 @@ import pytest
 from sensor_msgs.msg import BatteryState
 
 from deltacharger_driver.board.protocol import Power, PowerSample
-from deltacharger_driver.board.tactile_node_io import own_battery, target_battery
+from deltacharger_driver.board.tactile_node import own_battery, target_battery
 
 UNKNOWN = BatteryState.POWER_SUPPLY_STATUS_UNKNOWN
 CHARGING = BatteryState.POWER_SUPPLY_STATUS_CHARGING

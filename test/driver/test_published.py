@@ -15,7 +15,7 @@ from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 
 from deltacharger_driver.board.protocol import Power, PowerSample, TactileSample
-from deltacharger_driver.board.tactile_node_io import SamplePublishers
+from deltacharger_driver.board.tactile_node import SamplePublishers
 from deltacharger_driver.servos.bus import ServoReport
 from deltacharger_driver.servos.servo_node import StatePublishers
 from deltacharger_ros.messages import seconds
