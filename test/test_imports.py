@@ -23,7 +23,7 @@ BELOW = {  # package: the packages that it may import, without the prefix deltac
     "sim": ("core", "kinematics", "driver", "tactile", "vision", "docking"),
     **{name: ALL[: ALL.index(name)] for name in ("records", "scenes", "bringup")},
 }
-KNOWS_ROS = {"ros", "records", "scenes", "bringup"}  # the others only in *_node.py, *_node_io.py and ros/
+KNOWS_ROS = {"ros", "records", "scenes", "bringup"}  # the others only in *_node.py and ros/
 _ROS = re.compile(r"(rclpy|deltacharger|rcl_interfaces|builtin_interfaces|launch|launch_ros|\w+_msgs|\w+_srvs)(\.|$)")
 _IMPORT = re.compile(r"^[ \t]*(?:from ([\w.]+) import (\([^)]*\)|[^\n]+)|import ([\w.]+))", re.MULTILINE)
 
@@ -42,7 +42,7 @@ def package_of(module: str) -> str:
 
 
 def is_shell(module: str) -> bool:
-    return module.endswith(("_node", "_node_io")) or ".ros." in module
+    return module.endswith("_node") or ".ros." in module
 
 
 def imported(text: str) -> Iterator[str]:

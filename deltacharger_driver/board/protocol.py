@@ -36,6 +36,8 @@ LONGEST_PING = 64  # bytes
 LONGEST_SERVO = 128  # bytes of the servos' bus in one packet
 FLAG_TARED = 1
 FLAG_OVERRUN = 2
+U12 = 2
+"""The header's sample format of TACTILE: two samples of 12 bit in three bytes."""
 _ALL_FLAGS = FLAG_TARED | FLAG_OVERRUN
 
 _POWER = struct.Struct("<fffBBHf")
@@ -82,20 +84,6 @@ class PacketType(enum.IntEnum):
     SERVO_SPEED = 14
 
 
-class SampleFormat(enum.IntEnum):
-    """Encoding of a taxel's force; the number is the header's format field."""
-
-    NONE = 0
-    U8 = 1
-    U12 = 2
-    U16 = 3
-
-    @property
-    def top(self) -> int:
-        """The highest code, which means a dead taxel; one below it is full scale."""
-        return {SampleFormat.U8: 0xFF, SampleFormat.U12: 0xFFF, SampleFormat.U16: 0xFFFF}[self]
-
-
 class AckError(enum.IntEnum):
     """The board's answer to a command."""
 
@@ -119,9 +107,6 @@ class BoardFault(enum.IntEnum):
     CONTACTOR_WELDED = 7
     HEARTBEAT_LOST = 8
     OVER_CURRENT = 9
-
-
-_SAMPLE_FORMATS = (SampleFormat.U8, SampleFormat.U12, SampleFormat.U16)
 
 
 class PacketError(DriverError, ValueError):
@@ -171,8 +156,7 @@ def check_header(packet: Packet) -> None:
         PacketError: a value that version 1 does not define for this type.
     """
     tactile = packet.type == PacketType.TACTILE
-    formats = _SAMPLE_FORMATS if tactile else (SampleFormat.NONE,)
-    if packet.format not in formats:
+    if packet.format != (U12 if tactile else 0):
         raise PacketError(packet.type, f"sample format {packet.format} is invalid for this type")
     if packet.flags & ~(_ALL_FLAGS if tactile else 0):
         raise PacketError(packet.type, f"flags {packet.flags:#04x} are invalid for this type")
@@ -240,20 +224,10 @@ class BoardMismatch(DriverError, ConnectionError):
 
 
 _LAST_FAULT = max(BoardFault)
-_SAMPLE_BYTES: dict[int, int] = {SampleFormat.U8: 200, SampleFormat.U12: 300, SampleFormat.U16: 400}
-
-
-def _forces(sample_format: SampleFormat) -> Taxels:
-    """Return the force, N, of every code of a format; NaN for the highest, a dead taxel."""
-    top = sample_format.top
-    forces = np.arange(top + 1, dtype=np.float32) * np.float32(FULL_SCALE / (top - 1))
-    forces[top] = np.nan
-    return forces
-
-
-_FORCES: dict[int, Taxels] = {
-    sample_format: _forces(sample_format) for sample_format in (SampleFormat.U8, SampleFormat.U12, SampleFormat.U16)
-}
+_TOP = 0xFFF  # the highest code, which means a dead taxel; one below it is full scale
+_SAMPLE_BYTES = 300
+_FORCES: Taxels = np.arange(_TOP + 1, dtype=np.float32) * np.float32(FULL_SCALE / (_TOP - 1))
+_FORCES[_TOP] = np.nan
 
 
 class Power(NamedTuple):
@@ -301,28 +275,22 @@ class Ack(NamedTuple):
     data: bytes = b""
 
 
-def encode_samples(left: npt.ArrayLike, right: npt.ArrayLike, sample_format: SampleFormat) -> bytes:
+def encode_samples(left: npt.ArrayLike, right: npt.ArrayLike) -> bytes:
     """Write both pads' forces as the payload of a TACTILE packet.
 
     Args:
         left: (10, 10) or (100,) N, row-major from the top row; NaN = dead. Clipped to 0…10 N.
         right: like `left`, for the other pad.
-        sample_format: U8, U12 or U16.
 
     Returns:
-        200, 300 or 400 bytes.
+        300 bytes.
     """
     forces = np.concatenate((np.ravel(left), np.ravel(right)))
     if forces.size != 2 * TAXELS:
         raise ValueError(f"{forces.size} forces; both pads together have {2 * TAXELS}")
-    top = sample_format.top
     with np.errstate(invalid="ignore"):
-        scaled = np.rint(np.clip(forces, 0.0, FULL_SCALE) * ((top - 1) / FULL_SCALE))
-    codes = np.where(np.isnan(scaled), top, scaled).astype(np.uint16)
-    if sample_format is SampleFormat.U8:
-        return codes.astype(np.uint8).tobytes()
-    if sample_format is SampleFormat.U16:
-        return codes.astype("<u2").tobytes()
+        scaled = np.rint(np.clip(forces, 0.0, FULL_SCALE) * ((_TOP - 1) / FULL_SCALE))
+    codes = np.where(np.isnan(scaled), _TOP, scaled).astype(np.uint16)
     first, second = codes[0::2], codes[1::2]
     packed = np.empty((TAXELS, 3), np.uint8)
     packed[:, 0] = first & 255
@@ -331,27 +299,19 @@ def encode_samples(left: npt.ArrayLike, right: npt.ArrayLike, sample_format: Sam
     return packed.tobytes()
 
 
-def decode_samples(payload: bytes, sample_format: int) -> Taxels:
+def decode_samples(payload: bytes) -> Taxels:
     """Read the payload of a TACTILE packet.
 
     Returns:
         (2, 10, 10) N: left and right, row-major from the top row, NaN = dead.
 
     Raises:
-        PacketError: unknown format, or wrong length for the format.
+        PacketError: wrong length.
     """
-    expected = _SAMPLE_BYTES.get(sample_format, 0)
-    if not expected:
-        raise PacketError(PacketType.TACTILE, f"sample format {sample_format} is unknown")
-    if len(payload) != expected:
-        raise PacketError(PacketType.TACTILE, f"{len(payload)} bytes of samples instead of {expected}")
-    codes: npt.NDArray[Any]
-    if sample_format == SampleFormat.U12:
-        words: npt.NDArray[np.uint32] = np.ndarray((TAXELS, 1), "<u4", payload + b"\0", strides=(3, 1))
-        codes = words >> _WORD_SHIFTS & 0xFFF
-    else:
-        codes = np.frombuffer(payload, np.uint8 if sample_format == SampleFormat.U8 else "<u2")
-    return _FORCES[sample_format].take(codes).reshape(2, ROWS, COLUMNS)
+    if len(payload) != _SAMPLE_BYTES:
+        raise PacketError(PacketType.TACTILE, f"{len(payload)} bytes of samples instead of {_SAMPLE_BYTES}")
+    words: npt.NDArray[np.uint32] = np.ndarray((TAXELS, 1), "<u4", payload + b"\0", strides=(3, 1))
+    return _FORCES.take(words >> _WORD_SHIFTS & 0xFFF).reshape(2, ROWS, COLUMNS)
 
 
 def encode_power(power: Power) -> bytes:

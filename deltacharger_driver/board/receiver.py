@@ -312,7 +312,7 @@ class BoardReceiver:
 
 
 _HANDLERS: dict[int, tuple[Callable[[Packet], Any], Callable[[BoardReceiver, Packet, Any, float, float], None]]] = {
-    PacketType.TACTILE: (lambda p: decode_samples(p.payload, p.format), BoardReceiver._take_tactile),
+    PacketType.TACTILE: (lambda p: decode_samples(p.payload), BoardReceiver._take_tactile),
     PacketType.POWER: (lambda p: decode_power(p.payload), BoardReceiver._take_power),
     PacketType.HELLO: (lambda p: decode_hello(p.payload), BoardReceiver._take_hello),
     PacketType.ACK: (lambda p: decode_ack(p.payload), BoardReceiver._take_ack),

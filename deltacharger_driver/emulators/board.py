@@ -30,12 +30,12 @@ from deltacharger_driver.board.protocol import (
     OPEN,
     POWER_RATE,
     SERVO_MINOR,
+    U12,
     Ack,
     AckError,
     Hello,
     PacketError,
     PacketType,
-    SampleFormat,
     check_header,
     decode_close,
     decode_limit,
@@ -333,7 +333,6 @@ class BoardEmulator:
 
     Args:
         plant: the physics.
-        sample_format: encoding of the taxels.
         probe_time: s that a probe takes, at most 0.25.
         drift: rate error of the board's clock, s/s; positive = fast.
         seed: of boot ids and wire faults; None draws one.
@@ -347,7 +346,6 @@ class BoardEmulator:
     def __init__(
         self,
         plant: BoardPlant,
-        sample_format: SampleFormat = SampleFormat.U12,
         probe_time: float = 0.150,
         drift: float = 0.0,
         seed: int | None = None,
@@ -357,7 +355,6 @@ class BoardEmulator:
         servos: ByteDevice | None = None,
         stage: StageParameters | None = None,
     ) -> None:
-        self._format = sample_format
         self._drift = drift
         self._random = np.random.default_rng(seed)
         self._pads = EmulatedPads(plant)
@@ -501,8 +498,8 @@ class BoardEmulator:
             if self._on_sample is not None:
                 self._on_sample(self._sequences[PacketType.TACTILE], self._next_sample, now)
             flags = FLAG_TARED * self._pads.tared | FLAG_OVERRUN * self._overrun
-            payload = encode_samples(left, right, self._format)
-            self._queue(PacketType.TACTILE, self._next_sample, payload, flags, self._format)
+            payload = encode_samples(left, right)
+            self._queue(PacketType.TACTILE, self._next_sample, payload, flags, U12)
             self._overrun = False
             self._next_sample += period
 

@@ -6,7 +6,7 @@
  *   d  bytes of a stream                                decode              -> packets, see put_packet
  *   c  nothing                                          counters            -> u32 x 6, i16
  *   e  u8 type, u16 sequence, u64 time, u8 flags, u8 format, payload        -> bytes on the wire
- *   s  u8 format, 200 f32                               samples             -> payload
+ *   s  200 f32                                          samples             -> payload
  *   p  4 f32, u8 closed, u8 fault                       POWER               -> payload
  *   h  u32 boot id, 2 f32, u8 minor, u8 steps up        HELLO               -> payload
  *   l  20 bytes of CONTACTOR                            limits of a closing -> u8 good, u8 dead, 2 f32, 2 u32
@@ -79,8 +79,8 @@ static size_t samples(void)
 {
     float forces[DC_TAXELS];
     for (size_t i = 0; i < DC_TAXELS; i++)
-        forces[i] = dc_get_f32(body + 1 + 4 * i);
-    return dc_put_samples(answer, forces, body[0]);
+        forces[i] = dc_get_f32(body + 4 * i);
+    return dc_put_samples(answer, forces);
 }
 
 static size_t counters(void)

@@ -228,8 +228,6 @@ static bool set_value(struct console *console, const char *name, const char *tex
         dc_contactor_trip(&console->board.contactor, code, console->board.clock.now);
     else if (strcmp(name, "servos") == 0 && console->stepped) /* of the next boot */
         console->hardware = bench_hardware(&console->bench, code != 0);
-    else if (strcmp(name, "format") == 0 && code >= DC_U8 && code <= DC_U16)
-        console->config.sample_format = code;
     else
         return false;
     return true;

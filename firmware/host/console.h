@@ -10,7 +10,7 @@
    probe OHM V|none: what every probe finds, also nan and inf; measure normally again
    probe_time US, scan_time US, release_time US: duration of a probe, a sampling, the contacts' opening
    baud B: the wire; 0 takes everything, 1 nothing
-   format 1|2|3, poll_period US, steps_up 0|1, stage_voltage V, input_fuse A: for the next boot
+   poll_period US, steps_up 0|1, stage_voltage V, input_fuse A: for the next boot
    servos 0|1: servo bus at the next boot (--step only)
    bus HEX, bus_takes N (--step only): bytes from the servos, returns those sent to them; what the bus takes at once
    boot, state, quit: reboot, which keeps a weld; print commands, outputs, counters; end */

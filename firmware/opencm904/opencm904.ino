@@ -78,7 +78,7 @@ static const dc_hardware HARDWARE = {
 #endif
 };
 
-static const dc_config CONFIG = {DC_U12, CURRENT_LIMIT, LOWEST_TARGET, HIGHEST_TARGET,
+static const dc_config CONFIG = {CURRENT_LIMIT, LOWEST_TARGET, HIGHEST_TARGET,
                                  LOWEST_BATTERY, HIGHEST_BATTERY, POLL_PERIOD_US,
                                  STAGE_STEPS_UP, STAGE_VOLTAGE, INPUT_FUSE};
 

@@ -12,7 +12,6 @@ from deltacharger_driver.board.protocol import (
     Ack,
     PacketType,
     Power,
-    SampleFormat,
     decode_ack,
     decode_power,
     encode_close,
@@ -30,12 +29,10 @@ CLOSE = encode_close(LIMITS)
 class Bench:
     """A board, its plant and a host that sends only on command; `run` advances time."""
 
-    def __init__(
-        self, sample_format: SampleFormat = SampleFormat.U12, hooks: dict[str, Any] | None = None, **plant: float
-    ) -> None:
+    def __init__(self, hooks: dict[str, Any] | None = None, **plant: float) -> None:
         self.now = 100.0
         self.plant = BenchPlant(clock=lambda: self.now, **plant)  # type: ignore[arg-type]
-        self.board = BoardEmulator(self.plant, sample_format, seed=7, **(hooks or {}))
+        self.board = BoardEmulator(self.plant, seed=7, **(hooks or {}))
         self.decoder = PacketDecoder()
         self.packets: list[Packet] = []
         self.sequence = 0

@@ -33,7 +33,7 @@ class Bench:
     Args:
         program: path of board_host.
         start: us on the board's 32-bit counter at boot.
-        settings: commands before the boot, e.g. format=1.
+        settings: commands before the boot, e.g. noise=0.
     """
 
     def __init__(self, program: Path, start: int = 0, **settings: float) -> None:

@@ -14,7 +14,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from deltacharger_core.machine import COLUMNS, ROWS
-from deltacharger_driver.board.protocol import SampleFormat
 from deltacharger_driver.emulators.board import WireFaults
 from deltacharger_driver.emulators.power import StageReading
 from deltacharger_driver.packets import cobs_decode
@@ -164,7 +163,6 @@ class FirmwareBoard:
     def __init__(
         self,
         plant: FirmwarePlant,
-        sample_format: SampleFormat = SampleFormat.U12,
         probe_time: float = 0.150,
         seed: int | None = None,
         stage: Any = None,
@@ -178,7 +176,6 @@ class FirmwareBoard:
         self._lock = threading.RLock()
         self._boot_wanted = True
         self._polled = 0
-        self.host.command(f"format {int(sample_format)}")
         self.host.command(f"probe_time {round(probe_time * 1e6)}")
         self._stage_voltage = 0.0 if stage is None else stage.stage_voltage
         if stage is not None:

@@ -101,7 +101,7 @@ class Side:
     def frame(self) -> tuple[int, npt.NDArray[np.float32]]:
         """Flags and forces of the last frame."""
         packet = [packet for packet in self.received if packet.type == PacketType.TACTILE][-1]
-        return packet.flags & FLAG_TARED, np.stack(decode_samples(packet.payload, packet.format))
+        return packet.flags & FLAG_TARED, np.stack(decode_samples(packet.payload))
 
 
 class Day:

@@ -29,7 +29,7 @@ def frame(bench: Bench) -> tuple[int, np.ndarray[tuple[int, ...], np.dtype[np.fl
     """Flags and forces of the next frame."""
     bench.send((PacketType.START, b""))
     packet = tactile(bench.run(20 * MS))[-1]
-    return packet.flags, np.ravel(decode_samples(packet.payload, packet.format))
+    return packet.flags, np.ravel(decode_samples(packet.payload))
 
 
 def load(bench: Bench, forces: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> None:
@@ -37,7 +37,7 @@ def load(bench: Bench, forces: np.ndarray[tuple[int, ...], np.dtype[np.float64]]
 
 
 def test_tare_averages_subtracts_and_clips(new_bench: NewBench) -> None:
-    bench = new_bench(format=3, noise=0.1, offset=0)
+    bench = new_bench(noise=0.1, offset=0)
     resting = np.linspace(0.0, 0.6, 200)
     load(bench, resting)
     assert bench.ask(PacketType.TARE, wait=27 * MS + 1 * MS).error == 0

@@ -35,7 +35,7 @@ def overruns(frames: list[Packet]) -> list[bool]:
     ("rate", "periods"), [(120.0, 2400), night(120.0, 72_000), (0.1, 10), (0.7, 100), (59.94, 400), (1000.0, 400)]
 )
 def test_every_rate_is_kept_without_drift(new_bench: NewBench, rate: float, periods: int) -> None:
-    bench = new_bench(format=1, noise=0)
+    bench = new_bench(noise=0)
     set_rate(bench, rate)
     bench.send(START)
     for _ in range(10):

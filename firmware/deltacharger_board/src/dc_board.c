@@ -266,8 +266,8 @@ static void stream(dc_board *board)
     board->hardware->read_taxels(board->hardware->context, forces);
     dc_pads_apply(&board->pads, forces);
     packet.payload = payload;
-    packet.size = (uint16_t)dc_put_samples(payload, forces, board->config.sample_format);
-    packet.format = board->config.sample_format;
+    packet.size = (uint16_t)dc_put_samples(payload, forces);
+    packet.format = DC_U12;
     packet.flags = (uint8_t)((board->pads.tared ? DC_FLAG_TARED : 0) | (board->overrun ? DC_FLAG_OVERRUN : 0));
     board->overrun = !queue(board, &packet, DC_TACTILE_LEAVES);
     if (board->overrun)

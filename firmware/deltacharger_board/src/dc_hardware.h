@@ -89,7 +89,6 @@ typedef struct {
 
 /* Settings of an installation. */
 typedef struct {
-    uint8_t sample_format; /* DC_U8, DC_U12 or DC_U16 */
     float current_limit;   /* A at most; the electrodes carry 18 */
     float lowest_target;   /* V, lowest voltage that the stage charges */
     float highest_target;  /* V */
@@ -108,7 +107,7 @@ static inline uint32_t dc_poll_period(const dc_config *config)
     return config->poll_period < 20000u ? config->poll_period : 20000u;
 }
 
-#define DC_DEFAULT_CONFIG {DC_U12, 18.0f, 10.0f, 30.0f, 22.7f, 29.8f, 0u, true, DC_NAN, 20.0f}
+#define DC_DEFAULT_CONFIG {18.0f, 10.0f, 30.0f, 22.7f, 29.8f, 0u, true, DC_NAN, 20.0f}
 
 #ifdef __cplusplus
 }

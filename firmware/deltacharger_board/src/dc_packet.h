@@ -19,7 +19,7 @@ extern "C" {
 #define DC_HEADER_SIZE 16u
 #define DC_CRC_SIZE 4u
 #define DC_LONGEST_PING 64u     /* bytes */
-#define DC_LONGEST_PAYLOAD 400u /* bytes, sent by the board: TACTILE in u16 */
+#define DC_LONGEST_PAYLOAD 300u /* bytes, sent by the board: TACTILE */
 
 /* Largest size on the wire of a packet with `payload` bytes, both delimiters included. */
 #define DC_WIRE_SIZE(payload) (DC_COBS_SIZE(DC_HEADER_SIZE + (payload) + DC_CRC_SIZE) + 2u)

@@ -33,30 +33,17 @@ static uint16_t code_of(float force, uint16_t top, float scale)
     return nearest(force * scale);
 }
 
-size_t dc_put_samples(uint8_t *to, const float forces[DC_TAXELS], uint8_t format)
+size_t dc_put_samples(uint8_t *to, const float forces[DC_TAXELS])
 {
-    const uint16_t top = format == DC_U8 ? 0xFFu : format == DC_U12 ? 0xFFFu : 0xFFFFu;
+    const uint16_t top = 0xFFFu;
     const float scale = (float)(top - 1u) / DC_FULL_SCALE;
-    switch (format) {
-    case DC_U8:
-        for (size_t i = 0; i < DC_TAXELS; i++)
-            to[i] = (uint8_t)code_of(forces[i], top, scale);
-        return DC_TAXELS;
-    case DC_U12:
-        for (size_t i = 0; i < DC_TAXELS; i += 2, to += 3) {
-            const uint16_t a = code_of(forces[i], top, scale), b = code_of(forces[i + 1], top, scale);
-            to[0] = (uint8_t)(a & 0xFFu);
-            to[1] = (uint8_t)(a >> 8 | (b & 15u) << 4);
-            to[2] = (uint8_t)(b >> 4);
-        }
-        return DC_TAXELS * 3u / 2u;
-    case DC_U16:
-        for (size_t i = 0; i < DC_TAXELS; i++)
-            dc_put_u16(to + 2 * i, code_of(forces[i], top, scale));
-        return DC_TAXELS * 2u;
-    default:
-        return 0;
+    for (size_t i = 0; i < DC_TAXELS; i += 2, to += 3) {
+        const uint16_t a = code_of(forces[i], top, scale), b = code_of(forces[i + 1], top, scale);
+        to[0] = (uint8_t)(a & 0xFFu);
+        to[1] = (uint8_t)(a >> 8 | (b & 15u) << 4);
+        to[2] = (uint8_t)(b >> 4);
     }
+    return DC_TAXELS * 3u / 2u;
 }
 
 size_t dc_put_power(uint8_t *to, float battery, float target, float current, float least, bool closed, uint8_t fault)

@@ -17,7 +17,7 @@ extern "C" {
 #define DC_TAXELS (2u * DC_PAD)       /* left, then right */
 #define DC_FULL_SCALE 10.0f           /* N, the code one below the top */
 
-enum { DC_NO_FORMAT = 0, DC_U8, DC_U12, DC_U16 };
+enum { DC_NO_FORMAT = 0, DC_U12 = 2 };
 
 #define DC_POWER_SIZE 20u
 #define DC_HELLO_SIZE 20u
@@ -39,9 +39,8 @@ typedef struct {
     uint32_t gap_us;   /* without current once it has flowed */
 } dc_limits;
 
-/* Write forces (N, row-major from the top row; NaN = dead, clipped to 0..10) in a format; return the bytes written:
- * 200, 300 or 400; 0 for an unknown format. */
-size_t dc_put_samples(uint8_t *to, const float forces[DC_TAXELS], uint8_t format);
+/* Write forces (N, row-major from the top row; NaN = dead, clipped to 0..10) as DC_U12; return the bytes written, 300. */
+size_t dc_put_samples(uint8_t *to, const float forces[DC_TAXELS]);
 
 /* V, V, mean and least A (NaN = not measured), the contactor's own feedback, the latched fault. */
 size_t dc_put_power(uint8_t *to, float battery, float target, float current, float least, bool closed, uint8_t fault);

@@ -125,7 +125,7 @@ def computing() -> Iterator[tuple[str, Path]]:
     for package in _COMPUTES:
         root = Path(str(importlib.import_module(f"deltacharger_{package}").__file__)).parent
         for path in sorted(root.rglob("*")):
-            shell = path.stem.endswith(("_node", "_node_io")) or path.parent.name == "ros"
+            shell = path.stem.endswith("_node") or path.parent.name == "ros"
             if path.suffix in (".py", ".npz", ".json") and not shell:
                 yield f"{package}/{path.relative_to(root).as_posix()}", path
     yield "config/target_kinds.yaml", environment.config("target_kinds.yaml")[0]
