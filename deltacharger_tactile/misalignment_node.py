@@ -29,9 +29,8 @@ from deltacharger_ros.clock import stamp_age
 from deltacharger_ros.log import Log
 from deltacharger_ros.messages import unknown_misalignment
 from deltacharger_ros.on_demand import OnDemandSubscription
-from deltacharger_ros.parameters import declare_all, reject_unknown
+from deltacharger_ros.parameters import Regularly, Tuning, declare_all, reject_unknown
 from deltacharger_ros.qos import SERVICE
-from deltacharger_ros.tuning import Regularly, Tuning
 from deltacharger_tactile.errors import FrameError
 from deltacharger_tactile.estimator import Estimate
 from deltacharger_tactile.parameters import FRAMES_MAX, MisalignmentNodeParameters

@@ -43,8 +43,7 @@ from deltacharger_ros.frames import Frames, TransformError
 from deltacharger_ros.log import Log
 from deltacharger_ros.messages import duration, seconds, to_result
 from deltacharger_ros.outcomes import place
-from deltacharger_ros.parameters import declare_all, declare_file, declare_with_servos, reject_unknown
-from deltacharger_ros.tuning import Tuning
+from deltacharger_ros.parameters import Tuning, declare_all, declare_file, declare_with_servos, reject_unknown
 
 _SERVOS_FOLLOW = {"servo_stiffness": "stiffness", "torque_constant": "torque_constant"}  # names in servos_file
 _TICK = 0.02  # s; period without servo_state

@@ -22,7 +22,7 @@ from deltacharger_core.real_time import AHEAD, COMPARE_CLOCKS, HOST, HostClock
 from deltacharger_core.texts import outside
 from deltacharger_docking.observation import Observation, Reply
 from deltacharger_ros.clock import ANOTHER_CLOCK, ClockWatch, age
-from deltacharger_ros.duplicates import Duplicates
+from deltacharger_ros.diagnostics import Duplicates
 from deltacharger_ros.log import Log
 from deltacharger_ros.messages import seconds
 from deltacharger_ros.on_demand import LatestMessage, PolledTopic

@@ -37,9 +37,8 @@ from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
 from deltacharger_ros.frames import TfTree, TransformError, installed
 from deltacharger_ros.log import Log
 from deltacharger_ros.messages import seconds, unknown
-from deltacharger_ros.parameters import declare_all, reject_unknown
+from deltacharger_ros.parameters import Regularly, declare_all, reject_unknown
 from deltacharger_ros.qos import SERVICE
-from deltacharger_ros.tuning import Regularly
 from deltacharger_vision.detector.detector import ElectrodeDetector, annotated
 from deltacharger_vision.errors import MountError, VisionError
 from deltacharger_vision.images import COLOR, DEPTH, STAMP_TOLERANCE, RgbdImage, StampMatcher

@@ -23,8 +23,7 @@ from deltacharger_driver.ports import PseudoTerminal
 from deltacharger_driver.servos.servo_node import ServoNode
 from deltacharger_kinematics.kinematics_node import KinematicsNode
 from deltacharger_ros.node_support import StartupError
-from deltacharger_ros.parameters import declare_all, reject_unknown
-from deltacharger_ros.tuning import Regularly, Tuning
+from deltacharger_ros.parameters import Regularly, Tuning, declare_all, reject_unknown
 
 from ..nodes import options
 from ..plants import BenchArm
