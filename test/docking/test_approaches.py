@@ -129,15 +129,6 @@ def test_an_offset_across_the_bars_is_corrected_before_pressing() -> None:
     assert wired.run.finish(120.0).success
 
 
-def test_a_first_touch_with_a_tilt_beyond_the_limit_is_never_pressed_even_if_unsure() -> None:
-    wired = Wired(0.0, 0.0)
-    feel(wired.run, angle=math.radians(14.0), horizontal=0.0, vertical=0.0, sure=False)  # no place to look elsewhere
-    assert wired.run.dock().code is Code.CRITICAL_ANGLE
-    assert wired.run.world.record.contacts == 2, "one repeated contact"
-    assert wired.pressed < PRESSED
-    assert_home(wired.run)
-
-
 @pytest.mark.parametrize("goal", [DockGoal(GOAL, start_charging=False), DockGoal(GOAL, stop_energy=100.0)])
 @pytest.mark.parametrize("docked", [False, True])
 def test_goals_that_need_a_contactor_are_refused(goal: DockGoal, docked: bool) -> None:

@@ -16,9 +16,9 @@ import pytest
 
 from deltacharger_docking import energy, release
 from deltacharger_docking.charging import CLEARANCE_PERIOD
-from deltacharger_docking.codes import Busy, Code, State
+from deltacharger_docking.codes import Code, State
 from deltacharger_docking.observation import DockGoal, Observation, Reply, Service
-from deltacharger_sim.parameters import CircuitParameters, PortParameters
+from deltacharger_sim.parameters import CircuitParameters
 from deltacharger_sim.virtual.virtual_charger import GOAL, VirtualCharger
 
 from ..marks import rest
@@ -37,7 +37,6 @@ from .dockings import (
 
 WIRED = {"parameters": {"power": "none"}, "circuit": CircuitParameters(wired=True)}
 CONTACT_ONLY = DockGoal(GOAL, start_charging=False)
-FILLING = PortParameters(capacity=200.0)  # constant voltage after 80 s, then a falling current
 
 
 def test_a_stop_condition_counts_from_its_own_goal() -> None:
@@ -115,29 +114,6 @@ def test_a_goal_with_a_limit_below_the_measured_angle_ends_charging(kind: dict[s
     assert not run.observe().torque_enabled
 
 
-def test_a_cancel_without_a_goal_changes_nothing_and_a_held_goal_can_be_cancelled() -> None:
-    run = docked()
-    run.machine.cancel()
-    run.run(0.5)
-    assert run.world.snapshot().contactor_closed
-    run.begin(DockGoal(GOAL, hold=True))
-    run.run(0.5)
-    with pytest.raises(Busy):
-        run.machine.start_undock("", run.observe())
-    run.machine.cancel()
-    assert run.finish(30.0).code is Code.CANCELED
-    assert_safe_at_home(run)
-
-
-@pytest.mark.parametrize("start_charging", [False, True])
-def test_holding_lasts_until_its_time_even_beyond_the_time_to_dock(start_charging: bool) -> None:
-    run = quick_charger(parameters={"goal_timeout": 12.0}, coarse=True)
-    outcome = run.dock(DockGoal(GOAL, start_charging=start_charging, hold=True, stop_after=14.0))
-    assert outcome.success
-    assert outcome.elapsed >= 14.0
-    assert run.machine.status.docked
-
-
 @pytest.mark.parametrize(
     "goal",
     [CONTACT_ONLY, DockGoal(GOAL, start_charging=False, hold=True, stop_energy=9.0), DockGoal(GOAL, hold=True)],
@@ -171,22 +147,6 @@ def test_energy_that_was_not_all_measured_is_unknown_and_never_more_than_ordered
     assert "at most" in run.outcome.message
     assert math.isnan(run.outcome.energy)
     assert 100.0 < delivered < 1000.0
-
-
-@pytest.mark.parametrize("hold", [True, False])
-def test_current_that_tapers_off_means_a_full_target(hold: bool) -> None:
-    run = quick_charger(port=FILLING, coarse=True)
-    assert run.dock(DockGoal(GOAL, hold=hold), limit=300.0).success
-    until_open(run, 300.0)
-    run.run(0.5)
-    assert run.machine.status.code is Code.NONE
-    assert (run.machine.status.docked, run.machine.status.charging) == (True, False)
-    assert run.world.snapshot().contact_force > 0.0
-    assert run.world.circuit.port.voltage > 29.1, "it is full"
-    assert run.outcome is not None
-    if hold:
-        assert run.outcome.charge_end == "full: current below 0.5 A"
-        assert run.outcome.charge_voltage == pytest.approx(29.4, abs=0.1)
 
 
 def jump(run: VirtualCharger, seconds: float) -> None:
@@ -333,22 +293,6 @@ def test_a_refused_renewal_opens_at_once_and_the_next_fault_gives_the_code(fault
     assert until_open(run) <= 0.1
     run.run(0.5)
     assert run.machine.status.code is code
-
-
-@pytest.mark.parametrize(
-    ("fault", "code"), [({"hardware_error": 32}, Code.SERVO_FAULT), ({"servo_age": 5.0}, Code.SERVO_STALE)]
-)
-def test_undocking_without_servos_fails_while_the_magnets_may_hold(fault: dict[str, Any], code: Code) -> None:
-    run = docked(start_charging=False)
-    spoil(run, **fault)
-    run.until(lambda: run.machine.status.code is code, 2.0)
-    until_idle(run)
-    assert not run.observe().torque_enabled, "it is supervised without current too"
-    assert run.undock().code is code
-    assert run.machine.status.docked, "the electrodes rest on the target"
-    spoil(run)
-    assert run.undock().success
-    assert not run.machine.status.docked
 
 
 @pytest.mark.parametrize("begins", [rest(State.APPROACH), State.MEASURE, rest(State.ENERGISE)])

@@ -11,8 +11,6 @@ clock. What clocks that jump, rest or run at another rate do to the data is test
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -154,15 +152,6 @@ def test_a_bad_detection_is_refused_with_a_suggested_base_pose(charger: RunningC
     assert yaw == pytest.approx(math.radians(10.0) if name == "LEANING" else 0.0)
 
 
-@pytest.mark.rest
-@pytest.mark.version
-def test_a_cancelled_docking_ends_as_canceled_with_an_open_contactor(charger: RunningCharger) -> None:
-    cancel = threading.Event()
-    outcome = charger.dock(GOAL, lambda progress: progress.phase == "contact" and cancel.set(), cancel=cancel)
-    assert (outcome.success, outcome.error_name) == (False, "CANCELED"), outcome
-    charger.assert_safe()
-
-
 def defect(monkeypatch: pytest.MonkeyPatch, owner: Any, method: str, once: bool) -> None:
     """Let a method raise: at each call instead of its work, or once behind it."""
     works = getattr(owner, method)
@@ -199,24 +188,6 @@ def test_an_internal_defect_while_charging_opens_the_contactor(
     charger.go_home()
 
 
-@pytest.mark.rest
-@pytest.mark.parametrize(
-    ("part", "method", "once"),
-    [("_machine", "_record_goal", True), ("_reports", "begin", True), ("_machine", "step", False)],
-)
-def test_an_internal_defect_ends_a_goal_with_its_code_and_leaves_the_charger_free(
-    charger: RunningCharger, part: str, method: str, once: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    defect(monkeypatch, getattr(charger.node("docking_node"), part), method, once)
-    outcome = charger.dock()
-    assert (outcome.success, outcome.error_name) == (False, "INTERNAL"), outcome
-    assert "a defect" in outcome.error_message
-    monkeypatch.undo()
-    assert not charger.node("docking_node")._machine.busy, "the machine continues without a client"
-    charger.assert_safe()
-    charger.charge()
-
-
 @pytest.mark.witness
 def test_wrong_messages_on_a_topic_end_charging(charger: RunningCharger, monkeypatch: pytest.MonkeyPatch) -> None:
     """servo_state with the names of other joints, which only docking_node and kinematics_node read."""
@@ -240,37 +211,6 @@ def test_wrong_messages_on_a_topic_end_charging(charger: RunningCharger, monkeyp
     assert any("charging → retract" in line and "SERVO_STALE" in line for line in warned), warned
     monkeypatch.undo()
     bring_home(charger)
-
-
-_DYING = """
-import os, sys
-from deltacharger_core import environment
-environment.prepare()
-from deltacharger_ros.client import ChargerClient
-from deltacharger_ros.outcomes import DockRequest, Pose
-client = ChargerClient(sys.argv[1])
-assert client.wait_until_ready(30.0)
-def die(progress):
-    if progress.phase == "charging":
-        os._exit(9)
-client.dock(DockRequest(Pose(0.0, 0.0, 0.080), hold=True), die)
-"""
-
-
-@pytest.mark.rest
-def test_the_goal_of_a_dead_client_continues_and_another_may_end_it(charger: RunningCharger, raw: RawGoals) -> None:
-    """Charging continues under supervision; the next client gets an error, cancels the orphaned goal, and is served."""
-    command = [sys.executable, "-c", _DYING, charger.namespace]
-    assert subprocess.run(command, timeout=DEADLINE, check=False).returncode == 9
-    assert charger.is_closed
-    outcome = charger.undock()
-    assert (outcome.error_name, outcome.retriable) == ("REJECTED", True)
-    assert charger.is_closed
-    assert raw.cancel_all("undock") == 0
-    assert raw.cancel_all("dock") == 1
-    charger.assert_safe()
-    wait_until(lambda: not charger.node("docking_node")._machine.busy, "the end of the goal")
-    charger.go_home()
 
 
 @pytest.mark.rest

@@ -93,19 +93,6 @@ def test_a_target_that_disappeared_between_two_presses_is_reported() -> None:
     assert_safe_at_home(run)
 
 
-@pytest.mark.parametrize("again", [False, True])
-def test_contact_that_pads_never_detect_is_bounded_by_the_current(again: bool) -> None:
-    run = charger(9, 6, seed=2)
-    if again:
-        until_lifted(run)
-    else:
-        run.begin(DockGoal(GOAL))
-    spoil(run, tactile_contact=False)
-    assert run.finish(120.0).code is Code.NO_TACTILE_CONTACT
-    assert pushed(run) < STRIKE_MOST
-    assert_safe_at_home(run)
-
-
 def lines(run: VirtualCharger) -> list[Callable[[], bool]]:
     """Conditions of each line of contact, in order: fast, slow, pressing; then again."""
     status, z = run.machine.status, run.world.snapshot

@@ -6,17 +6,14 @@ Data in the frames of one charger are not used for another.
 
 from __future__ import annotations
 
-import contextlib
 import math
-import time
 from collections import deque
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
 import pytest
 from deltacharger.action import Dock, Undock
-from deltacharger.msg import ChargerPower, DockingDecision, ServoState, TactileFrame
+from deltacharger.msg import ChargerPower, ServoState, TactileFrame
 from deltacharger.srv import DetectElectrodes, PredictMisalignment, Probe, SetContactor
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action.server import ActionServer
@@ -25,21 +22,13 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from deltacharger_core.frames import Pose as Numbers
-from deltacharger_core.frames import composed
 from deltacharger_docking import energy
 from deltacharger_ros import qos
-from deltacharger_ros.frames import installed
-from deltacharger_ros.messages import CODES
-from deltacharger_scenes.overrides import Overrides, override
 from deltacharger_scenes.scene import Scene
 
 from ..chargers import Spin, wait_until
 from ..nodes import options
 from ..running_charger import RunningCharger
-from ..transforms import WITHOUT_TF, Robot
-from .raw_goals import RawGoals
-from .raw_goals import pose as goal_at
 
 pytestmark = [pytest.mark.ros, pytest.mark.rest]
 
@@ -162,59 +151,3 @@ def test_a_false_angle_estimate_never_closes_the_contactor(
         refused = {"DUPLICATE_SOURCE", "CRITICAL_ANGLE", "MISALIGNED", "ESTIMATE_UNSURE"} if beside else set()
         assert outcome.error_name in refused | {"TACTILE_STALE"}, outcome
         assert outcome.error_name != "TACTILE_STALE" or "confirmed" in outcome.error_message
-
-
-with_tf = pytest.mark.skipif(not installed(), reason=WITHOUT_TF)
-MOUNT: Numbers = (0.31, -0.02, 0.42, 0.5, 0.5, 0.5, 0.5)
-TARGET: Numbers = (0.004, -0.003, 0.080, 0.0, 0.0, 0.0, 1.0)
-
-
-class Framed:
-    """A charger of mocks that is given Dock goals in frames."""
-
-    def __init__(self, running: RunningCharger) -> None:
-        self.running = running
-        self.decisions: list[DockingDecision] = []
-        running.client.node.create_subscription(
-            DockingDecision, "docking_decision", self.decisions.append, qos.DEFAULT_DEPTH
-        )
-        self._raw = RawGoals(running.client)
-
-    def dock(self, frame: str, pose: Numbers) -> Dock.Result:
-        place, (a, b, c, w) = pose[:3], pose[3:]
-        return self._raw.result(goal_at(*place, frame=frame, x=a, y=b, z=c, w=w))
-
-    def accepted(self) -> DockingDecision:
-        """Return the decision with the last goal's place."""
-        wait_until(lambda: any(each.kind == "accepted" for each in self.decisions), "the decision")
-        return next(each for each in reversed(self.decisions) if each.kind == "accepted")
-
-
-@contextlib.contextmanager
-def framed(scene: Scene, context: Any, prefix: str) -> Iterator[Framed]:
-    with RunningCharger(override(scene, Overrides(frame_prefix=prefix)), context) as running:
-        yield Framed(running)
-
-
-@with_tf
-@pytest.mark.version
-def test_it_docks_at_a_goal_in_map_only_while_localization_runs(quick_scene: Scene, context: Any, spin: Spin) -> None:
-    with framed(quick_scene, context, "left/") as charger:
-        robot = spin(Robot(context))
-        wait_until(lambda: robot.heard, "docking_node")
-        robot.fix("base_link", "left/charger_base", MOUNT)
-        base: Numbers = (4.0, -2.0, 0.0, 0.0, 0.0, math.sin(0.7), math.cos(0.7))
-        robot.move(("map", "base_link", base), when=time.time() - 60.0)
-        for frame, retriable in (("charger_base", False), ("map", True)):
-            refused = charger.dock(frame, TARGET)
-            assert (CODES[refused.error_code], refused.retriable) == ("REJECTED", retriable), refused.error_message
-        assert not charger.running.node("mock_servo_node").torque_enabled
-        localization = robot.create_timer(0.02, lambda: robot.move(("map", "base_link", base)))
-        result = charger.dock("map", composed(composed(base, MOUNT), TARGET))
-        assert result.success, result.error_message
-        accepted = charger.accepted()
-        values = dict(zip(accepted.names, accepted.values, strict=True))
-        assert [values[f"{axis}_m"] for axis in "xyz"] == pytest.approx(TARGET[:3], abs=1e-9)
-        assert values["roll_rad"] == pytest.approx(0.0, abs=1e-9)
-        assert accepted.header.frame_id == "left/charger_base"
-        localization.cancel()

@@ -316,11 +316,3 @@ def test_frames_after_the_request_are_accepted_even_if_half_of_them_were_lost() 
 )
 def test_an_estimate_without_matching_frames_is_refused(named: tuple[int, ...], why: str) -> None:
     assert not is_believed(frame_check(), *named), why
-
-
-@pytest.mark.parametrize("start", [0, 1, 900, 1100, 2000, 10**12])
-def test_frames_after_a_restart_of_tactile_node_or_board_are_accepted(start: int) -> None:
-    """The sequence restarts with the first, and jumps ahead with the second."""
-    after = range(start, start + 24)
-    assert is_believed(frame_check(after), *after)
-    assert is_believed(frame_check(after, every=2), *after)

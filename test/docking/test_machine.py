@@ -9,7 +9,6 @@ from dataclasses import replace
 import pytest
 
 from deltacharger_docking import algorithm
-from deltacharger_docking.charging import CLEARANCE_PERIOD
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.observation import BasePose, DockGoal, DockingOutcome, ElectrodePose, Reply, Service
 from deltacharger_sim.parameters import ContactParameters, PlatformParameters, TargetParameters
@@ -78,26 +77,6 @@ def test_a_tilt_is_charged_up_to_seven_degrees_refused_from_twelve_and_never_sho
         assert_safe_at_home(run)
 
 
-@pytest.mark.parametrize(
-    ("x", "y", "parameters", "code"),
-    [
-        (3.0, 18.0, {}, Code.NO_TACTILE_CONTACT),
-        # So far away the magnets hardly pull, so an unloaded pad is no lean; but it is no offset to move by either.
-        (25.0, 0.0, {}, Code.ESTIMATE_UNSURE),
-        (25.0, 0.0, {"yaw_stddev": 0.0}, Code.ESTIMATE_UNSURE),
-    ],
-    ids=["pads miss", "a pad empty", "a pad empty, faces parallel"],
-)
-def test_a_target_that_the_pads_cannot_measure_is_refused(
-    x: float, y: float, parameters: dict[str, float], code: Code
-) -> None:
-    run = charger(x, y, parameters=parameters, coarse=True)
-    outcome = run.dock()
-    assert (outcome.code, outcome.alignments) == (code, 0)
-    assert run.world.record.energised == 0.0
-    assert_safe_at_home(run)
-
-
 def test_after_an_unsure_estimate_contact_is_repeated_once_and_then_fails() -> None:
     run = quick_charger(0, 0)
     feel(run, sure=False)
@@ -123,19 +102,6 @@ def test_an_invalid_detection_moves_nothing(monkeypatch: pytest.MonkeyPatch, rep
     assert math.dist(run.world.snapshot().position, run.parameters.home) < MILLIMETRE
     if code is Code.UNREACHABLE:
         assert outcome.suggested_base == BasePose(0.0, 0.2, pytest.approx(0.22))
-
-
-@pytest.mark.parametrize(
-    ("service", "name"), [(Service.ESTIMATE, "predict_misalignment"), (Service.PROBE, "probe"), (Service.TARE, "tare")]
-)
-def test_docking_reports_what_it_waits_for(service: Service, name: str) -> None:
-    run = quick_charger()
-    run.answer[service] = lambda reply: None
-    run.begin(DockGoal(GOAL))
-    run.until(lambda: run.machine.status.waiting_for == name, 30.0)
-    run.machine.cancel()
-    assert run.finish(30.0).code is Code.CANCELED
-    assert run.machine.status.waiting_for == ""
 
 
 @pytest.mark.parametrize(("volts", "code"), [(23.6, Code.VOLTAGE_OUT_OF_RANGE), (math.nan, Code.POWER_STALE)])
@@ -174,24 +140,6 @@ def dock(run: VirtualCharger, pitch: float = math.nan) -> DockingOutcome:
     return run.dock(DockGoal(replace(GOAL, pitch=math.radians(pitch), pitch_stddev=stddev)))
 
 
-@pytest.mark.parametrize(("yaw", "seed"), [(2.0, 1), *(rest(yaw, seed) for yaw in (2.0, -2.0) for seed in (2, 3))])
-def test_faces_yawed_by_two_degrees_are_charged_and_aligned_only_within_the_overlap(yaw: float, seed: int) -> None:
-    run = leaning((2.0, -1.0, 2.0), yaw=yaw, seed=seed)
-    outcome = dock(run)
-    assert outcome.success, outcome.message
-    truth = run.world.misalignment
-    assert truth is not None
-    if outcome.aligned:
-        assert abs(truth[0]) < run.parameters.overlap_loss_max
-    assert abs(truth[1] * math.cos(truth[2]) - truth[0] * math.sin(truth[2])) < run.parameters.landing_limit
-    felt = outcome.estimate
-    assert felt is not None
-    assert math.copysign(1.0, felt.yaw) == math.copysign(1.0, yaw)
-    assert abs(felt.yaw - math.radians(yaw)) < 3.0 * felt.yaw_stddev
-    assert abs(felt.horizontal - truth[0]) < 3.0 * felt.horizontal_stddev
-    assert run.world.record.energised_shorts == run.world.record.lifted_live == 0
-
-
 @pytest.mark.parametrize(("place", "yaw"), [((2.0, -1.0, 2.0), 5.0), rest((-2.0, 1.0, -3.0), -5.0)])
 def test_a_yaw_that_empties_a_pad_ends_with_its_angle_and_a_suggested_base_pose(
     place: tuple[float, float, float], yaw: float
@@ -221,19 +169,6 @@ def test_a_pitch_that_lifts_a_bar_is_never_energised_and_reported_if_a_camera_sa
     assert run.world.record.energised == 0.0
     assert run.world.record.lifted_live == 0
     assert_safe_at_home(run)
-
-
-def test_a_known_pitch_also_counts_while_charging() -> None:
-    run = leaning((1.0, 0.0, 1.0), pitch=0.5)
-    outcome = dock(run, 0.5)
-    assert outcome.success, outcome.message
-    seen = math.radians(0.5)
-    for seconds in (0.0, CLEARANCE_PERIOD + 1.0):
-        run.run(seconds)
-        felt = run.machine.status.estimate
-        assert run.machine.status.charging
-        assert felt is not None
-        assert (felt.pitch, felt.pitch_stddev) == (seen, math.radians(0.5))
 
 
 DEGREE = math.radians(1.0)

@@ -27,7 +27,6 @@ from deltacharger_docking.codes import Canceled, Code, State
 from deltacharger_docking.observation import Command, DockGoal, ElectrodePose, Observation, Reply, Request, Service
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_driver.board.protocol import BoardFault
-from deltacharger_kinematics.trajectory_feed import Waypoint
 from deltacharger_sim.parameters import TargetParameters, WorldParameters
 from deltacharger_sim.virtual.virtual_charger import GOAL, TICK, Effort, VirtualCharger
 
@@ -428,22 +427,6 @@ def test_servos_that_fail_during_the_probe_are_told_and_not_the_probe_that_they_
     assert run.finish(5.0).code is Code.SERVO_FAULT
 
 
-@pytest.mark.parametrize("state", [*MOVING, State.RETRACT])
-def test_motion_ends_with_the_machine(state: State) -> None:
-    """Also a pull just before or after its release: no servo goes on pulling, and no magnet draws the arm in again."""
-    for later in (0, 4) if state is State.ALIGN else (3,):
-        run = Faulty()
-        run.reach(state)
-        if later:
-            run.until(lambda run=run: moves(run, later * TICK), 10.0)  # type: ignore[misc]  # noqa: B023
-        energise = run._energised
-        run.machine.step = lambda observation, on=energise: Command(energise=on)  # type: ignore[method-assign, misc]
-        run.run(0.3)
-        assert not moves(run, 0.1)
-        assert not moves(run, 1.0)
-        assert state is not State.ALIGN or (max(run._bound) < 1.5 and run.world.record.contacts == 1)
-
-
 def test_a_goal_that_an_emergency_ends_keeps_its_account() -> None:
     """What flows until the contactor is open counts too."""
     run = Faulty(off=0.0)
@@ -546,35 +529,3 @@ def test_an_arm_that_pulls_while_servo_state_repeats_itself_is_not_told_as_stuck
     run.frozen = ""
     run.assert_never_hurt()
     run.go_home()
-
-
-@pytest.mark.parametrize("frozen", ["", "servo_state", "tactile_frame", "charger_power"])
-def test_one_frozen_sensor_does_not_hide_a_target_that_leaves(frozen: str) -> None:
-    """The platform is moved off by force, as if the robot were rolled away."""
-    run = Faulty(off=0.0)
-    run.reach(State.CHARGING)
-    run.frozen = frozen
-    start, home = run.now, run.machine.parameters.home
-    run._follow = lambda command: run.power.open(run.now) if not command.energise else None  # type: ignore[assignment]
-    angles = run.machine._context.kinematics.inverse(*home)
-    run._trajectory, run._started = (Waypoint(0.0, angles, (6.0, 6.0, 6.0)),), run.now
-    run.until(lambda: not run.closed, 1.0)
-    assert run.now - start <= 0.35
-    assert run.machine.status.code in (Code.NO_CONTACT, Code.NO_CHARGE_CURRENT, Code.OVERCURRENT)
-
-
-def test_pads_with_the_same_reading_everywhere_never_energise() -> None:
-    """The first estimate, 6 mm off, answers every request: the arm follows it to its limit."""
-    run = Faulty(landing_limit=0.0025, overlap_loss_max=0.004)
-    felt: list[MisalignmentEstimate] = []
-
-    def again(reply: Reply) -> Reply:
-        assert reply.estimate is not None
-        felt.append(felt[0] if felt else reply.estimate)
-        return replace(reply, estimate=felt[0])
-
-    run.answer[Service.ESTIMATE] = again
-    assert not run.dock().success
-    assert len(felt) > 1
-    assert State.ENERGISE not in run.states
-    run.assert_never_hurt()

@@ -16,15 +16,11 @@ import pytest
 
 from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_docking.arm import Planner
-from deltacharger_docking.codes import Code, State, Unreachable
-from deltacharger_docking.machine import DockingMachine
-from deltacharger_docking.observation import DockGoal, ElectrodePose
+from deltacharger_docking.codes import Unreachable
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_driver.servos import motion as driver
 from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.trajectory_feed import HORIZON, PULL_HORIZON, TURN, Piece, TrajectoryFeed, Waypoint, pull
-from deltacharger_sim.parameters import TargetParameters, WorldParameters
-from deltacharger_sim.virtual.virtual_charger import VirtualCharger
 
 HOME, STANDOFF = (0.0, 0.0, 0.0), (0.010, -0.020, 0.062)
 PARAMETERS = DockingParameters()
@@ -71,27 +67,6 @@ def test_a_line_or_a_last_leg_that_leaves_the_limits_is_unreachable(goal: tuple[
     PLANNER.check_way(0.12, HOME, STANDOFF, HOME)
     with pytest.raises(Unreachable):
         PLANNER.check_way(0.12, HOME, STANDOFF, HOME, goal)
-
-
-def charger(geometry: DeltaGeometry, x: float = 0.0) -> VirtualCharger:
-    """A charger whose machine uses its own geometry, before a target that is x (m) aside."""
-    run = VirtualCharger(WorldParameters(target=TargetParameters(x=x)))
-    run.machine = DockingMachine(run.parameters, geometry)
-    return run
-
-
-def test_a_correction_beyond_reach_does_not_move_the_electrodes_until_retracting() -> None:
-    # The rods allow the given place and where the magnets draw the arm, but not the target, which touch requests.
-    given, real = (0.048, 0.0, 0.080), 0.058
-    across = (0.048 + 0.003) * math.sqrt(3.0) / 2.0  # of limbs 1 and 2
-    run = charger(DeltaGeometry(swing_max=math.asin(across / DeltaGeometry().rod)), real)
-    outcome = run.dock(DockGoal(ElectrodePose(given, 0.0), start_charging=False))
-    assert outcome.code is Code.UNREACHABLE, outcome.message
-    assert "SWING_LIMIT" in outcome.message
-    assert State.MEASURE in run.states
-    assert State.ALIGN not in run.states
-    assert run.world.record.contacts == 1
-    assert math.dist(run.world.snapshot().position, HOME) < 3e-3
 
 
 TICK = 0.01
@@ -216,13 +191,6 @@ def assert_ends_without_a_jump(rows: np.ndarray, after: float) -> None:
     steps = np.abs(np.diff(rows[:, 1:4], axis=0)).max(axis=1)
     assert steps[rows[1:, 0] > after].max() < 1.1 * TICK * peak_speed(LINE)
     assert rows[-1, 1:4] == pytest.approx(LINE[-1].angles, abs=1e-9)
-
-
-@pytest.mark.parametrize("silence", [0.2, 3.0])
-def test_a_returning_sender_continues_from_where_it_left_the_arm(silence: float) -> None:
-    gone = 0.4 * END
-    rows = drive(begun(), Listener(), END + silence + 0.2, received=lambda now: not gone < now < gone + silence)
-    assert_ends_without_a_jump(rows, gone + silence)
 
 
 def test_a_paused_line_stops_at_once_and_continues_with_the_rest() -> None:

@@ -9,18 +9,15 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.observation import Command, DockingStatus, Observation
-from deltacharger_docking.ros.reports import PhaseLog, changes
+from deltacharger_docking.ros.reports import PhaseLog
 from deltacharger_sim.virtual.virtual_charger import VirtualCharger
 
 from .dockings import quick_charger
 
 PASSAGE = re.compile(r"^dock order-1: (\w+) → (\w+)( after \d+\.\d s)?(, |$)")
-states = st.sampled_from(list(State))
 
 
 def passages(lines: list[str]) -> list[tuple[str, str]]:
@@ -83,11 +80,3 @@ def test_a_charge_that_a_failure_ends_is_told_as_lost(before: State, code: Code,
     ended = replace(status(State.RETRACT, code, "why"), docked=True)
     (line,) = log.lines(ended, (State.RETRACT,), Observation(3.0))
     assert log.lost == (line if is_lost else "")
-
-
-@given(states, st.lists(states), states)
-def test_states_passed_between_two_reports_are_reported_once_each_in_order(
-    before: State, passed: list[State], now: State
-) -> None:
-    reported = changes(before, passed, now)
-    assert [before, *reported] == [state for state, _ in itertools.groupby([before, *passed, now])]

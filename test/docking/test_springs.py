@@ -82,18 +82,6 @@ def along_axes(gravity: Vector) -> dict[str, float]:
     return dict(zip(("gravity_x", "gravity_y", "gravity_z"), gravity, strict=True))
 
 
-@pytest.mark.parametrize(
-    ("given", "felt", "named"), [(15.0, 15.0, False), (15.0, 11.0, False), (15.0, 4.0, True), (15.0, 40.0, True)]
-)
-def test_a_wrong_stiffness_is_reported_with_the_command_that_measures_it(
-    given: float, felt: float, named: bool
-) -> None:
-    springs = configured(given)
-    assert springs.contradiction == ""
-    feel(springs, felt)
-    assert ("calibrate servos" in springs.contradiction) is named
-
-
 @pytest.mark.parametrize(("true", "given"), [rest(4.0, 16.0), rest(3.0, 0.75), (15.0, 60.0), rest(40.0, 10.0)])
 def test_an_arm_of_unmeasured_stiffness_docks_in_its_band(true: float, given: float) -> None:
     run = charger(parameters={"servo_stiffness": given}, servo=ServoParameters(stiffness=true), coarse=True)
@@ -195,16 +183,6 @@ def test_every_servo_can_hold_its_pressing_current_for_hours(
     before = ThermalModel(MX_64)
     before.update(eased["hottest_before_A"], HELD)
     assert before.reserve() == 0.0, "with the weight on the servos it would have been too much"
-
-
-@pytest.mark.parametrize("expected", [0.36, rest(0.54)])
-def test_weight_along_the_push_remains_on_the_servos(expected: float) -> None:
-    """No friction carries it: it adds 0.09 A to each servo, and what the gears rub in free motion as much."""
-    run = resting(3.0, -2.0, 15.0, (0.0, 0.0, 9.81 * math.copysign(1.0, 0.45 - expected)))
-    sent = commands(run)
-    assert run.dock().success
-    (rubs,) = (dict(each.values)["contact_current_A"] for each in decisions(sent, "zero"))
-    assert max(map(abs, currents(run))) == pytest.approx(expected + rubs, abs=0.04)
 
 
 @pytest.mark.parametrize("stiffness", [rest(5.0), 15.0])

@@ -6,7 +6,6 @@ An arm that could not stop, press or let go is refused before contact, by the na
 
 from __future__ import annotations
 
-import math
 import random
 from dataclasses import replace
 from itertools import permutations
@@ -86,26 +85,6 @@ def test_exchanged_servos_are_named_before_contact(limbs: tuple[int, ...]) -> No
     run.world.command = lambda index, *order: command(limbs[index], *order)  # type: ignore[method-assign]
     wrong = [f"servo {number} limb {limb}" for number, limb in enumerate(limbs, 1) if limb != number - 1]
     refused(run, Code.SERVO_FAULT, *wrong, "gravity")
-
-
-@pytest.mark.parametrize("longest", [3, 12])
-def test_a_computer_that_stalls_is_no_servo_that_swings(longest: int) -> None:
-    """Readings are missing, and pulls lapse: then a damping is unknown rather than wrong."""
-    run, draw, left = charger(coarse=False), random.Random(1), 0
-    step, sent = run._step, commands(run)
-
-    def stall() -> None:
-        nonlocal left
-        if left == 0:
-            step()
-        left = left - 1 if left else draw.choice((0, 0, draw.randint(1, longest)))
-
-    run._step = stall  # type: ignore[method-assign]
-    run.begin(DockGoal(GOAL))
-    run.until(lambda: bool(decisions(sent, "friction")), 20.0)
-    (swing,) = (dict(each.values) for each in decisions(sent, "swing"))
-    found = [swing[f"damping_{number}_Nms_per_rad"] for number in (1, 2, 3)]
-    assert all(math.isnan(damping) or damping > 0.3 for damping in found), found
 
 
 def wear(run: VirtualCharger, number: int, friction: float) -> None:
@@ -199,11 +178,3 @@ def test_a_target_that_comes_along_is_never_left_as_undocked_while_it_touches(br
     touches = run.world.mechanics.contact_force > 0.0
     assert outcome.code is (Code.TARGET_ROLLS if touches else Code.NONE), outcome.message
     assert run.machine.status.docked is touches
-
-
-def test_a_target_that_touched_on_the_way_home_rolls_although_the_pads_are_free_there() -> None:
-    run = charger(0.0, 0.0, 0.0)
-    assert run.dock(DockGoal(GOAL, start_charging=False)).success
-    way = run.world.mechanics
-    run.distort = lambda seen: replace(seen, tactile_contact=seen.tactile_contact or 0.02 < way.position[2] < 0.04)
-    assert run.undock().code is Code.TARGET_ROLLS

@@ -77,41 +77,6 @@ def test_contacts_beside_the_target_give_the_yaw_with_its_sign(yaw: float, camer
     assert abs(felt.horizontal) > 3.0 * abs(estimate.horizontal)
 
 
-@pytest.mark.parametrize("factor", [0.35, 1.0, 1.8], ids=["follows more", "as configured", "follows less"])
-def test_contacts_on_a_platform_of_unknown_share_do_not_make_a_seen_yaw_worse(factor: float) -> None:
-    """The camera errs by half a degree, its standard deviation."""
-    place = target_place(DockingParameters(yaw_stddev=3.0 * DEGREE), seen(2.5, 0.5))
-    for aside in (0.0, 0.006, -0.006, 0.0):
-        felt = contact(aside, 2.0 * factor)
-        place.add(felt, -aside, 0.0, PUSH)
-    estimate = place.combined(felt)
-    assert abs(estimate.yaw - 2.0 * DEGREE) < 0.6 * DEGREE
-    assert abs(estimate.yaw - 2.0 * DEGREE) < 2.0 * estimate.yaw_stddev
-
-
-@pytest.mark.parametrize("share", [0.3, 0.55, 0.8])
-def test_how_far_magnets_drew_the_platform_shows_the_target_also_if_they_reach_less_or_farther(share: float) -> None:
-    target, blind, place = 5.0 * MILLIMETRE, target_place(PARAMETERS, seen()), target_place(PARAMETERS, seen())
-    drawn = share * target
-    felt = contact(target - drawn)
-    blind.add(felt, drawn, 0.0, PUSH)
-    place.add(felt, drawn, 0.0, PUSH, drawn, 0.55)
-    estimate = place.combined(felt)
-    assert estimate.horizontal_stddev < 0.8 * blind.combined(felt).horizontal_stddev
-    assert abs(estimate.horizontal - felt.horizontal) < 2.0 * estimate.horizontal_stddev
-
-
-def test_a_change_of_loads_within_one_contact_is_a_slide_and_not_a_lean() -> None:
-    place, felt = target_place(PARAMETERS, seen(2.0, 0.1)), contact(0.0, 2.0)
-    place.add(felt, 0.0, 0.0, PUSH)
-    before, same = place.combined(felt), place.combined(felt, later=True)
-    slid = place.combined(replace(felt, horizontal=felt.horizontal + 0.005), later=True)
-    assert same.horizontal == pytest.approx(before.horizontal)
-    assert same.horizontal_stddev > before.horizontal_stddev
-    assert slid.horizontal - before.horizontal == pytest.approx(0.005)
-    assert slid.yaw == before.yaw
-
-
 @pytest.mark.parametrize("angle", [0.0, 0.12, -0.12])
 def test_the_offset_across_is_the_measured_one_and_the_vertical_follows_from_it(angle: float) -> None:
     place, felt = target_place(PARAMETERS, seen(roll=angle)), contact(0.001, 1.0, 0.002, angle)
@@ -121,18 +86,6 @@ def test_the_offset_across_is_the_measured_one_and_the_vertical_follows_from_it(
     assert estimate.vertical * math.cos(angle) - estimate.horizontal * math.sin(angle) == pytest.approx(felt.across)
     x, y = place.off
     assert y * math.cos(angle) - x * math.sin(angle) == pytest.approx(felt.across)
-
-
-def test_a_probe_is_made_along_the_bars_and_only_within_reach() -> None:
-    angle = 0.1
-    place = target_place(PARAMETERS, seen(roll=angle))
-    place.add(contact(0.002, 1.5, 0.0, angle), 0.0, 0.0, PUSH)
-    place.choose(0, lambda x, y: True)
-    assert place.plan.aside != 0.0
-    (x, y), (a, b) = place.step(), place.step(place.plan.aside)
-    assert (x - a, y - b) == pytest.approx((place.plan.aside, place.plan.aside * math.tan(angle)))
-    place.choose(0, lambda x, y: False)
-    assert place.plan.aside == 0.0
 
 
 def test_the_remaining_share_is_learnt_once_per_target_and_only_from_its_contacts() -> None:
@@ -149,24 +102,6 @@ def test_the_remaining_share_is_learnt_once_per_target_and_only_from_its_contact
     assert once[1] < before[1]
     place.learn()
     assert (share.value, share.stddev) == once
-
-
-@pytest.mark.rest
-def test_the_learnt_share_has_its_true_error() -> None:
-    random, scores = np.random.default_rng(4), []
-    for true in 0.0676 * np.exp(random.normal(0.0, 0.3, 60)):
-        share = RemainingShare(PARAMETERS)
-        for _ in range(6):
-            yaw = random.normal(0.0, 2.0)
-            place = TargetPlace(PARAMETERS, share, seen(yaw, 0.05))
-            for aside in (0.0, 0.006, -0.006):
-                landed = aside + random.normal(0.0, DOCKING_JITTER)
-                felt = contact(landed, yaw * true * RIGID)
-                noise = random.normal(0.0, 1e-3)
-                place.add(replace(felt, horizontal=felt.horizontal + noise), -aside, 0.0, PUSH)
-            place.learn()
-        scores.append((share.value - true) / share.stddev)
-    assert np.sqrt(np.mean(np.square(scores))) < 1.5
 
 
 def one_pad(left: float, right: float) -> MisalignmentEstimate:
@@ -186,16 +121,6 @@ def test_a_pad_that_carries_all_means_a_yaw_toward_it_if_both_ridges_are_on_thei
     assert math.isnan(target_place(PARAMETERS).least_yaw(one_pad(60.0, 0.5), 0.0, PUSH)), "the place is unknown"
     parallel = target_place(DockingParameters(yaw_stddev=0.0), seen())
     assert math.isnan(parallel.least_yaw(one_pad(60.0, 0.5), 0.0, PUSH)), "parallel by construction"
-
-
-def test_an_unsure_offset_points_along_the_bars_only_as_far_as_no_lean_explains_it() -> None:
-    far = MisalignmentEstimate(0.0, 0.01, 0.0, 1e-3, 0.02, 1e-3, left_force=60.0, right_force=4.0)
-    parallel = target_place(DockingParameters(yaw_stddev=0.0), seen())
-    assert parallel.pointed_at(far, 0.0)[0] == pytest.approx(0.02, rel=0.02)
-    assert target_place(PARAMETERS).pointed_at(far, 0.0)[0] == 0.02, "the place is unknown"
-    leaning = target_place(DockingParameters(yaw_stddev=3.0 * DEGREE), seen())
-    assert abs(leaning.pointed_at(far, 0.0)[0]) < 0.003
-    assert parallel.pointed_at(one_pad(60.0, 0.5), 0.0) == (0.0, 0.0), "out of range"
 
 
 BIAS = 0.0081  # m, load bias of a yaw of 1.2° on a platform of the usual compliance

@@ -10,13 +10,11 @@ import math
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import pytest
 
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.observation import Observation
 from deltacharger_docking.watch import WATCHES
-from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_sim.parameters import ContactParameters, StandParameters, TargetParameters
 from deltacharger_sim.virtual.virtual_charger import VirtualCharger
 
@@ -71,16 +69,6 @@ def test_a_servo_that_keeps_its_place_is_named_before_the_others_drive_on(phase:
     assert not run.observe().torque_enabled
 
 
-def test_an_arm_outside_its_workspace_goes_limp_where_it_is() -> None:
-    run = quick_charger()
-    reach(run, State.CONTACT)
-    spoil(run, angles=ScalarDelta(run.geometry).inverse(0.0, 0.064, 0.06))
-    run.until(lambda: run.outcome is not None, 5.0)
-    assert run.outcome is not None
-    assert run.outcome.code is Code.SERVO_FAULT
-    assert "its workspace" in run.outcome.message or "beside its line" in run.outcome.message
-
-
 def test_a_servo_whose_encoder_freezes_in_the_search_is_named_before_the_arm_docks() -> None:
     run = charger(coarse=True)
     reach(run, State.CONTACT)
@@ -108,25 +96,6 @@ def test_a_target_that_moves_away_does_not_take_the_arm_along() -> None:
         assert outside(run) < 0.0
     assert run.machine.status.code is Code.NO_CONTACT, run.machine.status.message
     assert "moves away" in run.machine.status.message
-
-
-def test_a_target_that_comes_back_is_not_an_arm_that_does_not_follow() -> None:
-    run = quick_charger()
-    reach(run, State.CONTACT)
-    run.until(lambda: run.observe().tactile_contact, 10.0)
-    while run.machine.status.code is Code.NONE:
-        run.world.mechanics.move_along(-0.5 * MILLIMETRE)
-        run.tick()
-    assert run.machine.status.code is Code.NO_CONTACT, run.machine.status.message
-    assert "pushed the arm back" in run.machine.status.message
-
-
-def test_pads_that_repeat_one_frame_are_not_a_target_that_rolls() -> None:
-    run = docked()
-    spoil(run, taxels=np.array(run.observe().taxels), tactile_contact=True)
-    outcome = run.undock()
-    assert outcome.code is Code.TACTILE_STALE
-    assert "repeat one frame" in outcome.message
 
 
 @pytest.mark.parametrize("docks", [False, True])
@@ -273,16 +242,6 @@ def test_current_that_nobody_ordered_ends_the_goal_where_the_arm_is(phase: State
     assert run.outcome.code is Code.CONTACTOR_WELDED
     still = phase in (State.CONTACT, State.MEASURE, State.ENERGISE)  # in ALIGN it pulls off already
     assert not still or math.dist(before, run.world.snapshot().position) < 6 * MILLIMETRE
-
-
-def test_a_weld_found_while_charging_keeps_the_arm_on_the_target() -> None:
-    run = docked()
-    spoil(run, contactor_closed=False, charge_current=0.0, thermal_reserve=600.0, **_WELD)
-    run.until(lambda: run.machine.status.state is State.IDLE, 5.0)
-    assert run.machine.status.code is Code.CONTACTOR_WELDED
-    assert run.observe().torque_enabled
-    assert run.world.mechanics.contact_force > 0.0
-    assert run.world.record.parted_live == 0
 
 
 def test_a_voltage_of_electrodes_in_free_air_is_a_weld() -> None:

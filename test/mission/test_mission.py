@@ -17,7 +17,7 @@ from deltacharger_docking.codes import Busy, Canceled, Code, Rejected, State
 from deltacharger_docking.observation import BasePose, ElectrodePose
 from deltacharger_mission import machine
 from deltacharger_mission.dialogue import DockingReport, End, MissionGoal, Stage, Task, TaskReply, TaskRequest
-from deltacharger_mission.machine import FACING_STDDEV_MAX, GAIN_TURN_MIN
+from deltacharger_mission.machine import GAIN_TURN_MIN
 from deltacharger_mission.parameters import MissionParameters
 from deltacharger_mission.places import SEARCH_STEPS, SEARCH_TURNS, BaseMount, Place
 
@@ -155,14 +155,6 @@ def test_the_robot_takes_a_suggested_base_pose_with_its_heading(yaw: float, moun
     assert world.seen().position == pytest.approx((0.0, 0.0, DOCK_DISTANCE), abs=1e-9)
 
 
-def test_an_unsure_yaw_causes_no_turn() -> None:
-    stddev = 1.01 * FACING_STDDEV_MAX
-    world = quick(truth=Truth(TARGET.at(0.0, 0.0, FIVE), lean_stddev=stddev))
-    assert world.run().success
-    world.base = world.bases[0]
-    assert abs(world.seen().yaw) == pytest.approx(FIVE), "it faces the target as given"
-
-
 def leaning(base: BasePose | None) -> Answer:
     return ends(End.FAILED, "askew", 0.2, code=Code.LEANING, suggested=base)
 
@@ -240,13 +232,6 @@ def test_leaning_ends_the_mission_if_no_move_is_left_or_would_help(base: BasePos
     outcome = world.run()
     assert (outcome.code, outcome.retriable, outcome.returned) == (Code.LEANING, False, True)
     assert (world.machine.status.moves, len(world.bases)) == (moves, moves)
-
-
-def test_electrodes_that_are_only_too_high_cause_no_drive() -> None:
-    world = quick(truth=Truth(height=0.10))
-    outcome = world.run()
-    assert (outcome.code, outcome.returned) == (Code.UNREACHABLE, True)
-    assert sum(request.task is Task.DOCK for request in world.requests) == 1
 
 
 @pytest.mark.parametrize("stage", list(Stage))
@@ -358,17 +343,6 @@ def test_a_docked_charger_is_not_driven(docking: DockingReport | None) -> None:
     assert world.requests == []
 
 
-def test_a_charger_that_another_client_uses_is_not_driven() -> None:
-    def looks(world: World, request: TaskRequest) -> Any:
-        world.docking = DockingReport(State.CONTACT)
-        return ends(End.FAILED, "no electrodes in the image")(world, request)
-
-    world = quick({Task.DETECT: looks})
-    outcome = world.run()
-    assert (outcome.code, outcome.returned) == (Code.REJECTED, False)
-    assert [request.task for request in world.requests] == [Task.DRIVE, Task.DETECT]
-
-
 def test_a_second_mission_and_impossible_goals_are_refused() -> None:
     world = quick()
     observation = world._observe(())
@@ -384,15 +358,6 @@ def test_a_second_mission_and_impossible_goals_are_refused() -> None:
     with pytest.raises(Busy) as caught:
         world.machine.start(MissionGoal(TARGET), observation)
     assert caught.value.retriable
-
-
-def test_a_mission_passes_no_limit_and_no_cancel_to_the_next() -> None:
-    world = quick()
-    assert world.run(cancel_in=Stage.RETURN).code is Code.CANCELED
-    world.time += 1e6
-    world.machine.cancel()  # without a goal
-    outcome = world.run()
-    assert (outcome.success, outcome.returned) == (True, True), outcome
 
 
 def test_a_stationary_charger_waits_for_its_target_and_does_not_drive() -> None:
