@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -110,35 +109,6 @@ def test_without_a_charger_injection_fails_and_the_list_does_not(
     code, listed = fault("--list")
     assert (code, listed["active"]) == (0, None)
     assert set(listed["kinds"]) == set(KINDS)
-
-
-def test_each_namespace_and_each_folder_has_its_own_faults(fault: Command, tmp_path: Path) -> None:
-    with (
-        SimulatedCharger(SIMULATED, tmp_path / "one", "robot_1"),
-        SimulatedCharger(SIMULATED, tmp_path / "two", "robot_2"),
-    ):
-        fault("servo_missing", "--servo", "1", "--namespace", "robot_1")
-        fault("servo_missing", "--servo", "2", "--directory", str(tmp_path / "two"))
-        assert [each["servo"] for each in fault("--list", "--directory", str(tmp_path / "one"))[1]["active"]] == [1]
-        assert [each["servo"] for each in fault("--list", "--namespace", "robot_2")[1]["active"]] == [2]
-        assert fault("--clear", "--namespace", "robot_3")[0] == 1
-
-
-def test_a_charger_keeps_its_socket_until_it_ends_and_leaves_nothing(fault: Command, tmp_path: Path) -> None:
-    place = runtime.charger(int(os.environ["ROS_DOMAIN_ID"]), "")
-    first = SimulatedCharger(SIMULATED, tmp_path / "one").start()
-    second = SimulatedCharger(SIMULATED, tmp_path / "two").start()
-    assert fault("servo_missing")[0] == 0
-    assert fault("--list", "--directory", str(tmp_path / "one"))[1]["active"]
-    second.stop()
-    assert fault("--clear")[0] == 0
-    first.stop()
-    assert not os.path.lexists(place)
-    assert list((tmp_path / "one").iterdir()) == list((tmp_path / "two").iterdir()) == []
-    place.symlink_to(tmp_path / "two" / "control")  # as a killed process leaves it
-    assert fault("--clear")[0] == 1
-    with SimulatedCharger(SIMULATED, tmp_path / "two"):
-        assert fault("--clear")[0] == 0
 
 
 def test_a_folder_of_another_user_is_not_used(tmp_path: Path, fault: Command) -> None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import errno
 import os
-import sys
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
@@ -148,20 +147,6 @@ def test_a_folder_that_cannot_be_written_ends_recording_until_it_can(tmp_path: P
     assert recording.path is not None
 
 
-def test_without_mcap_dockings_leave_no_file_until_it_is_installed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    recording = recorder(tmp_path)
-    for missing in (True, False, True, False):  # the folder is empty, then holds a record
-        kept = set(tmp_path.iterdir())
-        with monkeypatch.context() as patch:
-            if missing:
-                patch.setitem(sys.modules, "mcap.writer", None)
-            finish(recording, play(recording, docking(*refused(Code.NO_CONTACT, "nothing is there"), until=4.0)))
-            assert ("deltacharger[record]" in recording.problem) == missing
-        assert len(set(tmp_path.iterdir()) - kept) == (not missing)
-
-
 def full(*_: Any) -> None:
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -224,18 +209,6 @@ def numbered(topic: str, number: int) -> Raw:
 
 def numbers(messages: list[Raw]) -> list[int]:
     return [message.received for message in messages]
-
-
-def test_a_record_begins_with_the_seconds_before_and_keeps_everything_after() -> None:
-    kept, tap = list[Raw](), Gate(["state"])
-    for number in range(1000):
-        assert tap.offer(0.01 * number, numbered("servo", number)) == []
-    kept += tap.open()
-    for number in range(1000, 1500):
-        kept += tap.offer(0.01 * number, numbered("servo", number))
-    kept += tap.close()
-    assert numbers(kept) == list(range(kept[0].received, 1500))
-    assert 0.01 * (999 - kept[0].received) == pytest.approx(BEFORE, abs=0.02)
 
 
 def test_messages_pass_in_order_and_every_state_passes() -> None:

@@ -17,9 +17,6 @@ from deltacharger_docking.parameters import DockingParameters
 from deltacharger_records.datasets.journal import Docking, Journal, Mismatch, Settings
 from deltacharger_records.datasets.session import (
     OFFSETS_MM,
-    REPEATS,
-    SETS,
-    SUBSETS,
     TILTED,
     CommandedPose,
     NotKept,
@@ -210,18 +207,6 @@ def test_targets_out_of_reach_wired_electrodes_and_second_sessions_are_refused_w
         bench.start([CommandedPose(0.0, 0.0, 0.0)])
     with pytest.raises(Rejected, match="electrodes"):
         check_places(VirtualCharger(parameters=DockingParameters(power="none")).machine, [(0.0, 0.0, 0.080)])
-
-
-@pytest.mark.parametrize("kind", SETS)
-def test_a_plan_depends_on_its_arguments_only(kind: str) -> None:
-    part = part_of(kind)
-    assert part.poses() == part.poses()
-    angle = math.radians(part.angle_deg)
-    assert all(pose.angle == angle for pose in part.poses())
-    if kind != "reference":
-        assert part.poses() != dataclasses.replace(part, seed=2).poses()
-    assert dataclasses.replace(part, repeat=REPEATS[kind]).name == part.name
-    assert kind in SUBSETS
 
 
 def test_the_sets_are_the_papers() -> None:

@@ -19,9 +19,8 @@ from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.geometry import LimbAdjustment, save_geometry
 from deltacharger_kinematics.passive_joints import passive_joints
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_records.view.shapes import ROD_SPACING, SIDES, camera, moving, platform
+from deltacharger_records.view.shapes import ROD_SPACING, SIDES, moving
 from deltacharger_vision.mount import Mount, look_at
-from deltacharger_vision.terminal import Terminal
 
 from ..chargers import Spin, wait_until
 from ..nodes import options
@@ -181,76 +180,6 @@ def test_the_committed_urdf_equals_the_xacro() -> None:
     assert plain(expanded()) == plain(BAKED.read_text(encoding="utf-8"))
 
 
-def test_limits_dimensions_and_names_equal_the_geometrys() -> None:
-    geometry, terminal = DeltaGeometry(), Terminal()
-    tree = UrdfTree(BAKED.read_text(encoding="utf-8"))
-    for index in range(3):
-        limit = tree.joints[f"limb_{index}_arm_joint"].find("limit")
-        assert limit is not None
-        limits = [float(limit.attrib[name]) for name in ("lower", "upper")]
-        assert limits == pytest.approx([geometry.joint_min, geometry.joint_max], abs=1e-12)
-    assert {"base_link", "charger_base", "delta_motor", "end_effector", "camera_color_optical_frame"} <= set(tree.links)
-    sizes = [each.attrib["size"] for each in tree.root.findall("link[@name='end_effector']/visual/geometry/box")]
-    bar = f"{terminal.bar_length:.3f} {terminal.bar_height:.3f} {terminal.bar_thickness:.3f}"
-    assert (sizes.count(bar), tree.root.findall(".//mesh")) == (2, [])
-    mimics = tree.mimics()  # only linear joints
-    assert set(mimics) == {f"limb_{limb}_rod_right_{kind}_joint" for limb in range(3) for kind in ("pitch", "swing")}
-    assert all(mimic == (name.replace("right", "left"), 1.0, 0.0) for name, mimic in mimics.items())
-
-
-def test_the_view_draws_its_boxes() -> None:
-    root = ElementTree.fromstring(BAKED.read_text(encoding="utf-8"))
-    for link, drawn in (("end_effector", platform(DeltaGeometry())), ("camera_color_optical_frame", camera())):
-        boxes = [each for each in root.findall(f"link[@name='{link}']/visual") if each.find("geometry/box") is not None]
-        assert boxes
-        view = [(*centre, *size) for centre, size in zip(drawn.centres, drawn.sizes, strict=True)]
-        for box in boxes:
-            own = (*_numbers(box.find("origin"), "xyz"), *_numbers(box.find("geometry/box"), "size"))
-            assert any(own == pytest.approx(each, abs=1e-9) for each in view), own
-
-
-def two_chargers() -> ElementTree.Element:
-    """Return a robot with a charger on either side, by the macro."""
-    xacro = pytest.importorskip("xacro", reason="`pip install xacro`, or a ROS installation")
-    text = f"""<robot name="robot" xmlns:xacro="http://www.ros.org/wiki/xacro">
-      <xacro:include filename="{URDF / "deltacharger.macro.xacro"}"/>
-      <xacro:property name="arm" value="an arm of the robot's own"/>
-      <xacro:macro name="box" params="of_its_own"/>
-      <link name="base_link"/><link name="mast"/>
-      <joint name="mast_joint" type="fixed"><parent link="base_link"/><child link="mast"/></joint>
-      <xacro:deltacharger prefix="left_" parent="mast"><origin xyz="0.1 0.3 0.4" rpy="0 0 1.5"/></xacro:deltacharger>
-      <xacro:deltacharger prefix="right/" joint_prefix="" parent="base_link">
-        <origin xyz="0 -0.3 0"/>
-      </xacro:deltacharger>
-      <material name="${{arm}}"/>
-    </robot>"""
-    document = xacro.parse(text)
-    xacro.process_doc(document)
-    return ElementTree.fromstring(document.toxml())
-
-
-@pytest.mark.rest
-def test_the_macro_adds_two_chargers_to_one_robot() -> None:
-    robot, alone = two_chargers(), ElementTree.fromstring(BAKED.read_text(encoding="utf-8"))
-    for kind in ("link", "joint", "material"):
-        names = [each.attrib["name"] for each in robot.findall(kind)]
-        assert len(set(names)) == len(names), f"one {kind} has the name of another"
-        own = {each.attrib["name"] for each in alone.findall(kind)} - {"base_link"}
-        left, right = "left_", "" if kind == "joint" else "right/"
-        assert {f"{prefix}{name}" for prefix in (left, right) for name in own} <= set(names)
-    angles = (0.1, -0.2, 0.3)
-    arms = {f"limb_{index}_arm_joint": angle for index, angle in enumerate(angles)}
-    values = arms | passive_joints(ScalarDelta(), angles)
-    both = values | {f"left_{name}": value for name, value in values.items()}
-    frames = UrdfTree(ElementTree.tostring(robot, encoding="unicode")).frames(both)
-    assert frames["left_charger_base"][:3, 3] == pytest.approx((0.1, 0.3, 0.4))
-    single = UrdfTree(BAKED.read_text(encoding="utf-8")).frames(values)
-    expected = np.linalg.inv(single["charger_base"]) @ single["limb_1_rod_right"]
-    for prefix in ("left_", "right/"):
-        found = np.linalg.inv(frames[f"{prefix}charger_base"]) @ frames[f"{prefix}limb_1_rod_right"]
-        np.testing.assert_allclose(found, expected, atol=1e-12)
-
-
 def test_frames_are_where_the_interface_defines_them(tmp_path: Path) -> None:
     joints = {f"limb_{index}_arm_joint": 0.0 for index in range(3)} | passive_joints(ScalarDelta(), (0.0, 0.0, 0.0))
     frames = UrdfTree(BAKED.read_text(encoding="utf-8")).frames(joints)
@@ -319,12 +248,6 @@ def wired(argv: list[str] | None = None, **arguments: str) -> list[Any]:
     return found
 
 
-def test_rviz_starts_unless_disabled() -> None:
-    names = [node.node_executable for node in wired()]
-    assert names == ["robot_state_publisher", "passive_joints_node", "rviz2"]
-    assert [node.node_executable for node in wired(charger_rviz="false")] == names[:2]
-
-
 def text_of(node: Any) -> str:
     """Return the parameters of a node."""
     return str([getattr(value, "value", value) for value in node._Node__parameters[0].values()])
@@ -352,10 +275,3 @@ def test_a_prefix_reaches_the_model_and_its_joint_states(argument: str, prefix: 
     assert f'joint name="{joint}_arm_joint"' in text_of(publisher)
     parameters = {"".join(part.text for part in key): value for key, value in joints._Node__parameters[0].items()}
     assert yaml.safe_load("".join(part.text for part in parameters[argument])) == prefix
-
-
-def test_a_calibrated_geometry_reaches_the_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    save_geometry(DeltaGeometry(arm=0.1234), tmp_path / "arm.yaml")
-    monkeypatch.chdir(tmp_path)  # base of relative paths
-    for file in (str(tmp_path / "arm.yaml"), "arm.yaml"):
-        assert "0.1234" in text_of(wired(charger_geometry_file=file)[0])

@@ -13,17 +13,12 @@ import pytest
 
 from deltacharger_core.arrays import Array
 from deltacharger_kinematics import Delta, DeltaGeometry
-from deltacharger_kinematics.geometry import save_geometry
 from deltacharger_kinematics.passive_joints import passive_joints
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_vision.mount import Mount, look_at
 
-from .test_urdf import BAKED, CALIBRATED, UrdfTree, expanded
+from .test_urdf import BAKED, UrdfTree
 
-ACTUATOR, CAMERA = 0.938, 0.06  # kg; paper, assumed
 SPECKS = 2e-5  # kg, and N·m that they weigh
-OAK_D = "0.110 0.0545 0.033"  # m
-ROOM_FOR_OAK_D = (0.0, 0.17, -0.14)  # as docs/camera-node.md says
 
 
 class MuJoCo:
@@ -76,21 +71,6 @@ def test_no_body_touches_another_in_the_workspace() -> None:
     assert touching(MuJoCo(BAKED), DeltaGeometry(), poses(DeltaGeometry(), (5, 5, 4))) == set()
 
 
-def test_nor_do_those_of_a_calibrated_arm(tmp_path: Path) -> None:
-    save_geometry(CALIBRATED, tmp_path / "geometry.yaml")
-    urdf = tmp_path / "calibrated.urdf"
-    urdf.write_text(expanded(geometry_file=tmp_path / "geometry.yaml"), encoding="utf-8")
-    assert touching(MuJoCo(urdf), CALIBRATED, poses(CALIBRATED, (3, 3, 2))) == set()
-
-
-def test_an_oak_d_has_room_where_the_page_says_and_none_at_the_usual_mount(tmp_path: Path) -> None:
-    Mount(look_at(ROOM_FOR_OAK_D, (0.0, 0.0, 0.08)), Mount.default().covariance).save(tmp_path / "mount.yaml")
-    points, urdf = poses(DeltaGeometry(), (5, 5, 3)), tmp_path / "oak.urdf"
-    for mount, room in ((tmp_path / "mount.yaml", True), ("", False)):
-        urdf.write_text(expanded(mount_file=mount, camera_size=OAK_D), encoding="utf-8")
-        assert (touching(MuJoCo(urdf), DeltaGeometry(), points) == set()) is room
-
-
 def test_it_weighs_what_the_statics_say() -> None:
     geometry, gravity, step = DeltaGeometry(), np.array([1.5, -9.5, 2.0]), 1e-5
     read, kinematics = MuJoCo(BAKED), ScalarDelta(geometry)
@@ -104,15 +84,3 @@ def test_it_weighs_what_the_statics_say() -> None:
             back, ahead = joint_values(kinematics, angles - move), joint_values(kinematics, angles + move)
             torques.append(sum(held[name] * (ahead[name] - back[name]) for name in held) / (2.0 * step))
         assert torques == pytest.approx(kinematics.holding_torque(*point, tuple(gravity)), abs=SPECKS)
-
-
-def test_every_link_but_the_root_has_the_mass_and_inertia_of_a_solid_body() -> None:
-    links = UrdfTree(BAKED.read_text(encoding="utf-8")).root.findall("link")
-    assert [link.attrib["name"] for link in links if link.find("inertial") is None] == ["base_link"]
-    masses = [float(mass.attrib["value"]) for link in links for mass in link.findall("inertial/mass")]
-    assert sum(masses) == pytest.approx(ACTUATOR + CAMERA, abs=SPECKS)
-    for link in links[1:]:
-        inertia = link.find("inertial/inertia")
-        assert inertia is not None
-        x, y, z = sorted(float(inertia.attrib[axis]) for axis in ("ixx", "iyy", "izz"))
-        assert 0.0 < x <= y <= z <= x + y, link.attrib["name"]

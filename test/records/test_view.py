@@ -22,10 +22,9 @@ from numpy.typing import NDArray
 
 from deltacharger_bringup.cli.main import main
 from deltacharger_docking.codes import State
-from deltacharger_kinematics.geometry import DeltaGeometry, save_geometry
 from deltacharger_kinematics.scalar import ScalarDelta
 
-from ..bringup.command import Capture, refuses, run
+from ..bringup.command import Capture, refuses
 from ..chargers import Process, new_namespace, wait_until
 from .docking_tapes import NAMES, RECORDED, decision, in_order, raw, state, write
 
@@ -136,20 +135,6 @@ def test_fast_topics_are_thinned_and_slow_ones_and_states_are_complete(shown: Re
     assert shown.scalars("plots/energy")[-1, 1] > 0.0
 
 
-def lengths(recording: Recording, name: str) -> NDArray[np.float64]:
-    drawn = np.array([strips for _, strips in recording.rows(f"charger/{name}", "LineStrips3D:strips")])
-    return np.linalg.norm(drawn[:, :, 1] - drawn[:, :, 0], axis=-1)
-
-
-def test_a_calibrated_geometry_is_drawn(tmp_path: Path, capsys: Capture) -> None:
-    scene = tmp_path / "long.yaml"
-    save_geometry(DeltaGeometry(arm=0.11), tmp_path / "arm.yaml")
-    scene.write_text(f"parameters: {{kinematics_node: {{geometry_file: {tmp_path / 'arm.yaml'}}}}}\nsimulation: {{}}\n")
-    tape = write(tmp_path / "a.mcap", charge()[:40])
-    assert run(capsys, "view", "--recording", tape, "--scene", scene, "--save", tmp_path / "a.rrd")[0] == 0
-    np.testing.assert_allclose(lengths(Recording(tmp_path / "a.rrd"), "arms"), 0.11, atol=1e-6)
-
-
 def test_without_a_screen_the_message_names_alternatives(capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "platform", "linux")
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
@@ -173,27 +158,6 @@ def test_a_running_charger_is_shown_live(
     live = Recording(path)
     assert {"charger/arms", "pads/left", "plots/contact/band", "state/1_docking"} <= live.entities
     assert len(live.scalars("plots/contact/measured")) < result["messages"]["servo_state"]
-
-
-def test_a_message_that_cannot_be_shown_does_not_stop_the_others(tmp_path: Path) -> None:
-    import rerun as rr
-    from deltacharger.msg import DockingState, TactileFrame
-    from sensor_msgs.msg import Image
-
-    from deltacharger_records.view.feed import ViewFeed
-    from deltacharger_records.view.log import ViewLog
-
-    recording = rr.RecordingStream("test")
-    recording.save(tmp_path / "a.rrd")
-    feed = ViewFeed(ViewLog(rr, recording, DeltaGeometry(), np.eye(4)), DeltaGeometry())
-    feed.take("color/image_raw", 10**18, lambda: Image(encoding="smell", width=2, height=2, step=2, data=b"abcd"))
-    feed.take("tactile_frame", 10**18, lambda: TactileFrame(rows=10, columns=10, left=[0.0], right=[0.0]))
-    feed.take("docking_state", 10**18 + 1, lambda: DockingState(state=DockingState.STATE_ALIGN))
-    recording.flush()
-    recording.disconnect()
-    assert list(feed.refused) == ["color/image_raw"]
-    shown = Recording(tmp_path / "a.rrd")
-    assert [state for _, state in shown.rows("state/1_docking", "StateChange:state")] == [["align"]]
 
 
 @pytest.fixture

@@ -10,10 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deltacharger_kinematics import DeltaGeometry
-from deltacharger_records.view import shapes as view_scene
 from deltacharger_records.view.shapes import DEAD, FULL, NOISE, pad_picture
-from deltacharger_vision.terminal import Terminal
 
 from ..bringup.command import Capture, refuses
 
@@ -38,14 +35,6 @@ def test_the_scale_rises_to_the_sensors_range_and_only_dead_taxels_are_grey() ->
     assert tuple(pad_picture([0.9 * NOISE], 1, 1)[0, 0]) == EMPTY
     assert tuple(pad_picture([math.nan], 1, 1)[0, 0]) == DEAD
     assert DEAD not in {tuple(shade) for shade in pad_picture(np.linspace(0.0, FULL, 200), 1, 200)[0]}
-
-
-def test_electrodes_of_both_sides_touch_at_the_contact_plane() -> None:
-    bar = (Terminal().bar_length, Terminal().bar_height, Terminal().bar_thickness)
-    for boxes, side in ((view_scene.platform(DeltaGeometry()), -1.0), (view_scene.target(view_scene.SEEN), 1.0)):
-        bars = [centre for centre, size in zip(boxes.centres, boxes.sizes, strict=True) if size == bar]
-        assert sorted(centre[1] for centre in bars) == pytest.approx([-0.0087, 0.0087])
-        assert [centre[2] for centre in bars] == pytest.approx([side * bar[2] / 2] * 2)
 
 
 @pytest.mark.parametrize("module", [None, type(sys)("rerun")], ids=["missing", "of another project"])

@@ -7,8 +7,7 @@ import errno
 import grp
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
 
 import pytest
 import serial
@@ -17,7 +16,6 @@ from deltacharger_bringup.doctor import board as examiner
 from deltacharger_bringup.doctor.findings import Finding
 from deltacharger_bringup.doctor.ports import examine_port
 from deltacharger_bringup.doctor.servos import examine_servos
-from deltacharger_core.servo_types import TYPES, ServoType
 from deltacharger_driver import ports
 from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.board.protocol import BoardFault
@@ -95,24 +93,6 @@ def test_a_weld_is_cleared_on_request_unless_something_is_live(board: BoardEmula
     assert not parts(found, "wrong")
 
 
-@pytest.mark.rest
-def test_a_slow_board_gives_a_hint(board: BoardEmulator, board_port: str) -> None:
-    board.faults.delay = 0.04
-    named(board_findings(board_port), ("hint", "board", "heartbeats"))
-
-
-def test_lost_frames_are_counted(board: BoardEmulator, board_port: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    watch = examiner._stream
-
-    def lossy(*given: Any) -> Iterator[Finding]:
-        board.faults.probability["drop"] = 0.1
-        yield from watch(*given)
-        board.faults.probability["drop"] = 0.0
-
-    monkeypatch.setattr(examiner, "_stream", lossy)
-    named(board_findings(board_port, 0.4), ("wrong", "tactile link", "cables"))
-
-
 @pytest.mark.parametrize(
     ("plant", "wired", "level", "part", "noun"),
     [
@@ -120,8 +100,6 @@ def test_lost_frames_are_counted(board: BoardEmulator, board_port: str, monkeypa
         ({"target": 24.0, "resistance": 0.1}, False, "hint", "probe", "24.0 V between the electrodes: a target"),
         ({"resistance": math.inf}, False, "ok", "probe", "nothing touches"),
         ({"battery": 22.6}, False, "wrong", "power", "22.6 V"),
-        ({"battery": 22.7}, False, "ok", "power", "22.7 V"),
-        ({"battery": 29.8}, False, "ok", "power", "29.8 V"),
         ({"battery": 29.9}, False, "wrong", "power", "29.9 V"),
         ({"battery": math.nan}, False, "hint", "power", "not measured"),
         ({"battery": math.nan}, True, "hint", "power", "live"),
@@ -205,21 +183,6 @@ def test_two_servos_with_one_id_are_named() -> None:
         named(servo_findings(terminal.path), ("wrong", "servo 2", "two servos"))
 
 
-@pytest.mark.parametrize("kind", TYPES.values(), ids=lambda kind: kind.name)
-def test_servos_of_every_type_are_good_and_a_mixture_is_named(kind: ServoType) -> None:
-    emulator = ServoBusEmulator(BenchArm(), kind=kind)
-    with PseudoTerminal(emulator) as terminal:
-        emulator.line_speed = terminal.speed
-        found = list(examine_servos(terminal.path, 1_000_000, IDS, None, LIKELY))
-        assert not parts(found, "wrong")
-        assert [each.message for each in found if kind.name in each.message and each.part == "servo 3"]
-        other = next(each for each in TYPES.values() if each is not kind)
-        emulator.servo(2).table.set("model", other.model)
-        found = servo_findings(terminal.path)
-    named(found, ("wrong", "servo 2", f"{other}, not {kind} as servo 1"))
-    assert parts(found, "wrong") == {"servo 2"}
-
-
 def test_a_busy_port_names_its_user(board_port: str) -> None:
     user = f"process {os.getpid()}"
     with open(board_port, "rb"):
@@ -227,10 +190,6 @@ def test_a_busy_port_names_its_user(board_port: str) -> None:
     with serial.Serial(board_port, exclusive=True):
         named(examine_port("board port", board_port), ("wrong", "board port", user))
         assert len(holders(board_port)) == 1, "the emulator's end of the terminal does not count"
-
-
-def test_a_path_that_is_no_port_is_wrong_with_a_remedy() -> None:
-    named(examine_port("servo port", "/dev"), ("wrong", "servo port", "not a serial port"))
 
 
 def test_a_free_port_is_ok_and_a_forbidden_one_names_the_group(
@@ -244,9 +203,3 @@ def test_a_free_port_is_ok_and_a_forbidden_one_names_the_group(
     monkeypatch.setattr(serial, "Serial", refuse)
     group = grp.getgrgid(os.stat(silent_port).st_gid).gr_name
     named(examine_port("servo port", silent_port), ("wrong", "servo port", f"usermod -aG {group}"))
-
-
-def test_an_adapter_that_delays_bytes_gives_a_hint(monkeypatch: pytest.MonkeyPatch, silent_port: str) -> None:
-    monkeypatch.setattr("deltacharger_driver.ports.latency_timer", lambda port: 16e-3)
-    found = list(examine_port("servo port", silent_port))
-    named(found, ("hint", "servo port", "16 ms"), ("hint", "servo port", "99-deltacharger.rules"))
