@@ -6,12 +6,9 @@ Served on a `PseudoTerminal`, it behaves like a real board, except for the diffe
 
 from __future__ import annotations
 
-import collections
 import math
 import threading
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -50,10 +47,10 @@ from deltacharger_driver.board.protocol import (
     encode_samples,
 )
 from deltacharger_driver.emulators.power import EmulatedPower, PowerPlant, StageParameters
+from deltacharger_driver.emulators.wire import DelayLine, WireFaults
 from deltacharger_driver.packets import VERSION, DecoderCounters, Packet, PacketDecoder, encode_packet
 from deltacharger_driver.ports import ByteDevice
 
-KINDS = ("drop", "corrupt", "truncate", "garbage", "duplicate")
 TARE_SAMPLES = 8
 TARE_PERIOD = 0.004  # s between the samples of a tare: 28 ms in all
 Forces = npt.NDArray[np.float64]
@@ -66,102 +63,6 @@ _BACKLOG = 16  # samplings kept until the next poll
 _UNACKNOWLEDGED = (PacketType.HEARTBEAT, PacketType.PING, PacketType.SERVO)
 _OF_SERVOS = (PacketType.SERVO, PacketType.SERVO_SPEED)
 _WITH_PAYLOAD = (PacketType.RATE, PacketType.CONTACTOR, PacketType.PING, *_OF_SERVOS)
-
-
-class DelayLine:
-    """A wire with delay; packets never overtake each other.
-
-    Attributes:
-        due: when the next packet arrives, s; inf = none.
-    """
-
-    def __init__(self) -> None:
-        self.due = math.inf
-        self._packets: collections.deque[tuple[float, bytes]] = collections.deque()
-
-    def pass_on(self, packets: list[bytes], delay: float, now: float) -> bytes:
-        """Send packets to arrive `delay` s later, or after the one before if that is later; return arrived bytes."""
-        if not delay and not self._packets:
-            return b"".join(packets)
-        for packet in packets:
-            last = self._packets[-1][0] if self._packets else now
-            self._packets.append((max(now + delay, last), packet))
-        arrived = bytearray()
-        while self._packets and self._packets[0][0] <= now:
-            arrived += self._packets.popleft()[1]
-        self.due = self._packets[0][0] if self._packets else math.inf
-        return bytes(arrived)
-
-
-@dataclass
-class _Injection:
-    kind: str
-    count: int
-    type: int | None
-
-
-class WireFaults:
-    """Damages packets on their way from an emulated device to the host.
-
-    Attributes:
-        probability: of each kind for every packet, initially 0. drop: it vanishes; corrupt: a bit flips; truncate:
-            its end is missing, delimiter included; garbage: 1 to 64 random bytes precede it; duplicate: it is sent
-            twice.
-        silent: nothing leaves the device, which keeps running.
-        deaf: nothing reaches the device, which keeps running.
-        delay: s, of every packet.
-
-    Args:
-        seed: of the damage.
-    """
-
-    def __init__(self, seed: int | None = None) -> None:
-        self.probability = dict.fromkeys(KINDS, 0.0)
-        self.silent = False
-        self.deaf = False
-        self.delay = 0.0
-        self._random = np.random.default_rng(seed)
-        self._injections: list[_Injection] = []
-
-    def inject(self, kind: str, count: int = 1, type: int | None = None) -> None:
-        """Apply `kind` to the next `count` packets of one type, or of any.
-
-        Raises:
-            ValueError: unknown kind.
-        """
-        if kind not in KINDS:
-            raise ValueError(f"unknown wire fault '{kind}'; known: {', '.join(KINDS)}")
-        self._injections.append(_Injection(kind, count, type))
-
-    def apply(self, packet: bytes, type: int) -> bytes:
-        """Return a packet (with its delimiters) of a type after the faults."""
-        if self.silent:
-            return b""
-        for kind in self._draw(type):
-            packet = self._damage(packet, kind)
-        return packet
-
-    def _draw(self, type: int) -> list[str]:
-        kinds = [kind for kind, chance in self.probability.items() if chance and self._random.random() < chance]
-        for injection in self._injections:
-            if injection.type in (None, type) and injection.count > 0:
-                injection.count -= 1
-                kinds.append(injection.kind)
-        self._injections = [injection for injection in self._injections if injection.count > 0]
-        return kinds
-
-    def _damage(self, packet: bytes, kind: str) -> bytes:
-        if kind == "drop" or not packet:
-            return b""
-        if kind == "duplicate":
-            return packet + packet
-        if kind == "garbage":
-            return self._random.bytes(int(self._random.integers(1, 65))) + packet
-        if kind == "truncate":
-            return packet[: int(self._random.integers(1, len(packet)))]
-        damaged = bytearray(packet)
-        damaged[int(self._random.integers(1, len(packet) - 1))] ^= 1 << int(self._random.integers(8))
-        return bytes(damaged)
 
 
 class PadPlant(Protocol):
@@ -334,11 +235,8 @@ class BoardEmulator:
     Args:
         plant: the physics.
         probe_time: s that a probe takes, at most 0.25.
-        drift: rate error of the board's clock, s/s; positive = fast.
         seed: of boot ids and wire faults; None draws one.
         boot_time: duration of a boot, s; during it the board neither receives nor sends, and its contactor is open.
-        on_sample: called for every sampling with its sequence number, its due time and its actual time, s.
-        on_heartbeat: called for every heartbeat with its arrival, s.
         servos: the servos' bus, if it is connected to the board.
         stage: the power stage, as its wiring declares it.
     """
@@ -347,15 +245,11 @@ class BoardEmulator:
         self,
         plant: BoardPlant,
         probe_time: float = 0.150,
-        drift: float = 0.0,
         seed: int | None = None,
         boot_time: float = 0.0,
-        on_sample: Callable[[int, float, float], object] | None = None,
-        on_heartbeat: Callable[[float], object] | None = None,
         servos: ByteDevice | None = None,
         stage: StageParameters | None = None,
     ) -> None:
-        self._drift = drift
         self._random = np.random.default_rng(seed)
         self._pads = EmulatedPads(plant)
         self._power = EmulatedPower(plant, probe_time, stage)
@@ -368,8 +262,6 @@ class BoardEmulator:
         self._next_power = self._next_sample = math.inf
         self._out: list[bytes] = []
         self._wire = DelayLine()
-        self._on_sample = on_sample
-        self._on_heartbeat = on_heartbeat
         self.faults = WireFaults(seed)
         self.servos = BoardServos(servos)
         self.unknown_types = 0
@@ -432,7 +324,9 @@ class BoardEmulator:
 
     def _flush(self, now: float) -> bytes:
         packets, self._out = self._out, []
-        return self._wire.pass_on(packets, self.faults.delay, now)
+        for packet in packets:
+            self._wire.send(packet, now + self.faults.delay)
+        return self._wire.arrived(now)
 
     def _boot(self, now: float) -> None:
         self._running_from = math.inf
@@ -495,8 +389,6 @@ class BoardEmulator:
             self._overrun = True
         while now >= self._next_sample:
             left, right = self._pads.sample()
-            if self._on_sample is not None:
-                self._on_sample(self._sequences[PacketType.TACTILE], self._next_sample, now)
             flags = FLAG_TARED * self._pads.tared | FLAG_OVERRUN * self._overrun
             payload = encode_samples(left, right)
             self._queue(PacketType.TACTILE, self._next_sample, payload, flags, U12)
@@ -506,7 +398,7 @@ class BoardEmulator:
     def _queue(self, type: PacketType, time: float, payload: bytes, flags: int = 0, format: int = 0) -> None:
         sequence = self._sequences[type]
         self._sequences[type] = (sequence + 1) % 65536
-        device_time = max(round((time - self._booted_at) * (1.0 + self._drift) * 1e6), 0)
+        device_time = max(round((time - self._booted_at) * 1e6), 0)
         wire = encode_packet(Packet(type, payload, sequence, device_time, flags, format))
         self._out.append(self.faults.apply(wire, type))
 
@@ -529,7 +421,7 @@ class BoardEmulator:
             check_header(packet)
             if packet.payload and packet.type not in _WITH_PAYLOAD:
                 raise PacketError(packet.type, f"{len(packet.payload)} bytes instead of none")
-            error: AckError | None = command(self, packet, now)
+            error: AckError | None = getattr(self, command)(packet, now)
         except PacketError:
             error = AckError.BAD_PAYLOAD
         if error is not None and packet.type not in _UNACKNOWLEDGED:
@@ -537,8 +429,6 @@ class BoardEmulator:
 
     def _heartbeat(self, packet: Packet, now: float) -> None:
         self._power.heartbeat(now)
-        if self._on_heartbeat is not None:
-            self._on_heartbeat(now)
 
     def _ping(self, packet: Packet, now: float) -> None:
         self._queue(PacketType.PING, now, decode_ping(packet.payload))
@@ -598,16 +488,16 @@ class BoardEmulator:
         return self.servos.set_speed(decode_servo_speed(packet.payload))
 
 
-_COMMANDS: dict[int, Callable[[BoardEmulator, Packet, float], AckError | None]] = {
-    PacketType.HELLO: BoardEmulator._hello,
-    PacketType.START: BoardEmulator._start,
-    PacketType.STOP: BoardEmulator._stop,
-    PacketType.TARE: BoardEmulator._tare,
-    PacketType.RATE: BoardEmulator._set_rate,
-    PacketType.CONTACTOR: BoardEmulator._contactor,
-    PacketType.PROBE: BoardEmulator._probe,
-    PacketType.SERVO: BoardEmulator._send_to_servos,
-    PacketType.SERVO_SPEED: BoardEmulator._set_servo_speed,
-    PacketType.HEARTBEAT: BoardEmulator._heartbeat,
-    PacketType.PING: BoardEmulator._ping,
+_COMMANDS: dict[int, str] = {
+    PacketType.HELLO: "_hello",
+    PacketType.START: "_start",
+    PacketType.STOP: "_stop",
+    PacketType.TARE: "_tare",
+    PacketType.RATE: "_set_rate",
+    PacketType.CONTACTOR: "_contactor",
+    PacketType.PROBE: "_probe",
+    PacketType.SERVO: "_send_to_servos",
+    PacketType.SERVO_SPEED: "_set_servo_speed",
+    PacketType.HEARTBEAT: "_heartbeat",
+    PacketType.PING: "_ping",
 }

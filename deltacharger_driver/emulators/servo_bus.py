@@ -8,16 +8,14 @@ from __future__ import annotations
 
 import functools
 import itertools
-import math
-import random
 import threading
-from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from deltacharger_core.machine import SERVO_IDS
 from deltacharger_core.servo_types import MX_64, ServoType
 from deltacharger_driver.emulators.servo import CHECKSUM, INSTRUCTION, LENGTH, OK, ServoFirmware, ServoPlant
+from deltacharger_driver.emulators.wire import DelayLine, WireFaults
 from deltacharger_driver.errors import DriverError
 from deltacharger_driver.packets import (
     BROADCAST,
@@ -38,8 +36,6 @@ STUFFED = PLAIN + b"\xfd"
 
 _LONGEST = 1024  # bytes of a packet; a longer length is noise
 _SILENCE = 0.02  # s without a byte after which an incomplete packet is discarded
-FAULTS = ("drop", "corrupt", "truncate", "duplicate", "garbage")
-"""Faults of a reply: lost, a byte changed, cut short, sent twice, preceded by noise."""
 
 
 @dataclass(frozen=True)
@@ -118,66 +114,6 @@ class InstructionParser:
         return Instruction(packet[4], packet[7], parameters, intact)
 
 
-@dataclass
-class ServoFaults:
-    """Faults of an emulated bus; may be changed at any time, from any thread.
-
-    Attributes:
-        missing: ids without supply: they neither receive nor answer.
-        deaf: the servos receive nothing from the host and keep running.
-        delay: added before every reply, s.
-        rate: fault of `FAULTS` → share of affected replies, 0–1.
-        rate_of: id → like `rate`, for one servo and in addition.
-    """
-
-    missing: set[int] = field(default_factory=set)
-    deaf: bool = False
-    delay: float = 0.0
-    rate: dict[str, float] = field(default_factory=dict)
-    rate_of: dict[int, dict[str, float]] = field(default_factory=dict)
-    _next: Counter[tuple[str, int]] = field(default_factory=Counter)
-
-    def next_reply(self, fault: str, servo: int, count: int = 1) -> None:
-        """Apply `fault` to the next `count` replies of one servo.
-
-        Raises:
-            DriverError: unknown fault.
-        """
-        if fault not in FAULTS:
-            raise DriverError(f"unknown fault '{fault}'; known: {', '.join(FAULTS)}")
-        self._next[(fault, servo)] += count
-
-    def apply(self, servo: int, reply: bytes, random_source: random.Random) -> bytes:
-        """Return `reply` after the faults."""
-        if not self.rate and not self._next and not self.rate_of:
-            return reply
-        for fault in FAULTS:
-            if self._occurs(fault, servo, random_source):
-                reply = _damage(fault, reply, random_source)
-        return reply
-
-    def _occurs(self, fault: str, servo: int, random_source: random.Random) -> bool:
-        if self._next[(fault, servo)] > 0:
-            self._next[(fault, servo)] -= 1
-            return True
-        shares = self.rate.get(fault, 0.0), self.rate_of.get(servo, {}).get(fault, 0.0)
-        return any(share > 0.0 and random_source.random() < share for share in shares)
-
-
-def _damage(fault: str, reply: bytes, random_source: random.Random) -> bytes:
-    if not reply or fault == "drop":
-        return b""
-    if fault == "corrupt":
-        # Behind the length, so that the packet is found and its checksum must detect the error.
-        at = random_source.randrange(min(7, len(reply) - 1), len(reply))
-        return reply[:at] + bytes((reply[at] ^ random_source.randrange(1, 256),)) + reply[at + 1 :]
-    if fault == "truncate":
-        return reply[: random_source.randrange(1, len(reply))]
-    if fault == "duplicate":
-        return reply + reply
-    return random_source.randbytes(5) + reply
-
-
 def collide(first: bytes, second: bytes) -> bytes:
     """Return what the line carries if a second reply begins a byte after the first: a bit that is 0 in either wins."""
     pairs = itertools.zip_longest(first, b"\xff" + second, fillvalue=0xFF)
@@ -210,13 +146,12 @@ class ServoBusEmulator:
         seed: int = 0,
         kind: ServoType = MX_64,
     ) -> None:
-        self.faults = ServoFaults()
+        self.faults = WireFaults(seed, head=7)  # up to the length: the checksum must detect the damage
         self.line_speed = line_speed
         self._lock = threading.RLock()
-        self._random = random.Random(seed)
         self._parser = InstructionParser()
         self._servos = [ServoFirmware(plant, index, servo, kind) for index, servo in enumerate(ids)]
-        self._outgoing: list[tuple[float, bytes]] = []
+        self._wire = DelayLine()
 
     def servo(self, servo: int) -> ServoFirmware:
         """Return the emulated servo with id `servo`, to inspect its registers or break it.
@@ -240,28 +175,20 @@ class ServoBusEmulator:
             if not self.faults.deaf:
                 for instruction in self._parser.feed(data, now):
                     self._execute(instruction, now)
-            return self._due(now)
+            return self._wire.arrived(now)
 
     def poll(self, now: float) -> bytes:
         """Advance time and return the replies due now."""
         with self._lock:
             for servo in self._servos:
                 servo.tick(now)
-            return self._due(now)
+            return self._wire.arrived(now)
 
     def next_event(self, now: float) -> float:
         """Return the seconds until `poll` is needed; inf for never."""
         with self._lock:
             waits = [servo.next_event(now) for servo in self._servos]
-            waits += [due - now for due, _ in self._outgoing]
-            return max(min(waits, default=math.inf), 0.0)
-
-    def _due(self, now: float) -> bytes:
-        if not self._outgoing:
-            return b""
-        ready = b"".join(reply for due, reply in self._outgoing if due <= now)
-        self._outgoing = [item for item in self._outgoing if item[0] > now]
-        return ready
+            return max(min(*waits, self._wire.due - now), 0.0)
 
     def _execute(self, instruction: Instruction, now: float) -> None:
         speed = self.line_speed() if self.line_speed is not None else None
@@ -279,9 +206,8 @@ class ServoBusEmulator:
             servo = together[0][0]
             reply = functools.reduce(collide, (each for _, each in together))
             start += servo.return_delay
-            damaged = self.faults.apply(servo.servo, reply, self._random)
-            if damaged:
-                self._outgoing.append((start + self.faults.delay, damaged))
+            if damaged := self.faults.apply(reply, servo.servo):
+                self._wire.send(damaged, start + self.faults.delay)
 
     def _replies(
         self, instruction: Instruction, present: list[ServoFirmware], now: float

@@ -109,16 +109,12 @@ class Kind:
     several: bool = False
 
 
-def _servo_share(kind: str, hardware: Hardware, order: FaultOrder) -> Undo:
-    faults = hardware.servos.faults
+def _share(device: str, kind: str, hardware: Hardware, order: FaultOrder) -> Undo:
+    """Damage the given share of the packets from "servos" or "board"."""
+    faults = getattr(hardware, device).faults
     rates = faults.rate_of.setdefault(order.servo, {}) if order.servo else faults.rate
     rates[kind] = order.amount
     return lambda: rates.pop(kind, None)
-
-
-def _board_share(kind: str, hardware: Hardware, order: FaultOrder) -> Undo:
-    hardware.board.faults.probability[kind] = order.amount
-    return functools.partial(hardware.board.faults.probability.__setitem__, kind, 0.0)
 
 
 def _servo_missing(hardware: Hardware, order: FaultOrder) -> Undo:
@@ -248,7 +244,7 @@ KINDS: dict[str, Kind] = {
     **{
         f"servo_{name}": Kind(
             f"a share `amount` of the servos' replies is {text}",
-            functools.partial(_servo_share, name),
+            functools.partial(_share, "servos", name),
             servo=SOME,
             amount=_SHARE,
         )
@@ -275,7 +271,7 @@ KINDS: dict[str, Kind] = {
     **{
         f"board_{name}": Kind(
             f"a share `amount` of the board's packets is {text}",
-            functools.partial(_board_share, name),
+            functools.partial(_share, "board", name),
             amount=_SHARE,
         )
         for name, text in _DAMAGE.items()

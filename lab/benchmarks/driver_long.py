@@ -8,7 +8,7 @@ contactor opens without a command, this is counted and the charger docks again.
 
 - Stamps are ROS time. They are converted to the monotonic clock of the emulator by the difference of both clocks at
   reception. Sampling time = due time of the board's timer, as in the packet. The delay of the emulator's real sampling
-  is a separate figure. The board's clock runs too fast by DRIFT.
+  is a separate figure.
 - The gaps between heartbeats give the openings that other limits would cause: gaps longer than the limit per hour, and
   the upper bound of their rate with 95 % confidence (Poisson).
 
@@ -27,12 +27,13 @@ import time
 import tty
 from array import array
 from pathlib import Path
+from time import monotonic
 from typing import Any
 
 import driver_processes as processes
 import numpy as np
 from driver_processes import CannotMeasure, CpuMeter
-from driver_record import DRIFT, evaluate
+from driver_record import evaluate
 
 from deltacharger_core import environment
 
@@ -48,6 +49,7 @@ ATTEMPTS = 3  # to dock
 
 def emulate(folder: Path) -> None:
     """Emulate the simulated scene's hardware and record it until stdin ends."""
+    from deltacharger_driver.board.protocol import PacketType
     from deltacharger_driver.emulators.board import BoardEmulator
     from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
     from deltacharger_driver.ports import PseudoTerminal
@@ -60,18 +62,23 @@ def emulate(folder: Path) -> None:
     samples, beats, openings = array("d"), array("d"), array("d")
 
     class World(SharedWorld):
-        def open_contactor(self, ramp: bool) -> None:
-            super().open_contactor(ramp)
-            openings.append(time.monotonic())
+        def drive(self, outputs: Any) -> None:
+            super().drive(outputs)
+            if not outputs.contactor:
+                openings.append(time.monotonic())
+
+    class Recorded(BoardEmulator):
+        def _heartbeat(self, packet: Any, now: float) -> None:
+            super()._heartbeat(packet, now)
+            beats.extend((now, self.contactor_commanded))
+
+        def _queue(self, type: Any, time: float, *more: Any) -> None:
+            if type is PacketType.TACTILE:
+                samples.extend((self._sequences[type], time, monotonic()))
+            super()._queue(type, time, *more)
 
     seed, plant = scene.simulation.seed, World(scene.simulation.build_world())
-    board: BoardEmulator = BoardEmulator(
-        plant,
-        seed=seed,
-        drift=DRIFT,
-        on_sample=lambda *sample: samples.extend(sample),
-        on_heartbeat=lambda at: beats.extend((at, board.contactor_commanded)),
-    )
+    board = Recorded(plant, seed=seed)
     record = {"samples": samples, "beats": beats, "openings": openings, "line": array("d")}
     threading.Thread(target=watch_line, args=(record["line"],), daemon=True).start()
     servos = ServoBusEmulator(plant, seed=seed)

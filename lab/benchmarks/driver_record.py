@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from driver_processes import DRIVER_LIMIT, CannotMeasure, Figure, at_most
 
-DRIFT = 100e-6  # s/s; two poor crystals differ by 200e-6
 LIMITS = (0.050, 0.060, 0.075, 0.095, 0.125, 0.150, 0.200, 0.250)  # s without a heartbeat; the board's is 0.095
 INTENDED = 1.0  # s; a longer pause of the heartbeat follows an opening
 LATE_BOARD = 0.010  # s; delay of the emulator within a gap, from which the gap is no measure of the host
@@ -31,7 +30,7 @@ def _tactile(record: dict[str, Any]) -> list[Figure]:
     order = np.searchsorted(number, sequence)
     if order[-1] >= len(number) or np.any(number[order] != sequence):
         raise CannotMeasure("frames without a sample of the emulator; did the board reboot?")
-    start = due[order] - device * 1e-6 / (1.0 + DRIFT)  # boot time of the board, equal for all frames
+    start = due[order] - device * 1e-6  # boot time of the board, equal for all frames
     if np.ptp(start) > 5e-6:
         raise CannotMeasure(f"device times do not fit the sampling instants ({np.ptp(start):.1e} s)")
     rate = (len(stamp) - 1) / (stamp[-1] - stamp[0])

@@ -141,7 +141,7 @@ def test_servos_are_found_at_the_speed_of_each(
 ) -> None:
     for servo, speed in enumerate(speeds, 1):
         servos.servo(servo).table.set("baud", speed)
-    servos.faults.next_reply("drop", 1)  # a lost reply loses no servo
+    servos.faults.inject("drop", 1, 1)  # a lost reply loses no servo
     before = written(servos)
     found = identify(servo_port)
     assert (found.kind, found.hello) == ("servos", None)

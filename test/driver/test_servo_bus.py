@@ -86,7 +86,7 @@ def test_if_one_servo_rejects_torque_all_are_switched_off(
     bus: ServoBus, emulator: ServoBusEmulator, arm: BenchArm
 ) -> None:
     bus.read()
-    emulator.faults.next_reply("drop", 3, 5)
+    emulator.faults.inject("drop", 5, 3)
     emulator.servo(3).write = lambda *request: 1
     with pytest.raises(DriverError):
         bus.enable_torque(BOUND)

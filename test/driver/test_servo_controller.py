@@ -89,7 +89,7 @@ def test_a_fault_of_one_servo_stops_all(rig: Rig, fail: Callable[[Rig], object],
 def test_a_single_lost_reply_does_not_stop_and_keeps_the_last_values(rig: Rig) -> None:
     rig.torque_on()
     before = rig.cycle()
-    rig.emulator.faults.next_reply("drop", 1, 2)
+    rig.emulator.faults.inject("drop", 2, 1)
     for _ in range(2):
         report = rig.cycle()
         assert report.valid == (False, True, True)

@@ -207,6 +207,6 @@ def test_under_any_noise_a_value_is_right_or_missing(bus: ServoBus, emulator: Se
 
 
 def test_requests_with_corrupt_replies_are_repeated(link: ServoLink, emulator: ServoBusEmulator) -> None:
-    emulator.faults.next_reply("corrupt", 1, 2)
+    emulator.faults.inject("corrupt", 2, 1)
     assert link.read(1, "input_voltage") == 120
     assert link.counters.corrupt + link.counters.timeouts == link.counters.retries == 2

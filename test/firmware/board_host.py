@@ -14,8 +14,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from deltacharger_core.machine import COLUMNS, ROWS
-from deltacharger_driver.emulators.board import WireFaults
 from deltacharger_driver.emulators.power import StageReading
+from deltacharger_driver.emulators.wire import WireFaults
 from deltacharger_driver.packets import cobs_decode
 
 from ..borrowed import anew, borrowed_tests
