@@ -6,7 +6,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import signal
-import sys
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -42,7 +41,6 @@ from deltacharger_lab.campaigns.summary import COLUMNS, summarise
 from deltacharger_scenes.scene import SceneError
 
 _DEFAULT_COUNT = 100
-_BAR = 30  # characters
 
 
 _DEFAULT_SCENES = "default"
@@ -71,7 +69,6 @@ def campaign(options: argparse.Namespace) -> Result:
         with Interrupts() as interrupts, Store(folder, settings) as store:
             progress = CampaignProgress(settings.n, len(store.done))
             run_missing(store, options.workers or 1, progress, interrupts.event.is_set, log_line)
-            progress.end()
             complete = not store.missing()
         judged = ("broken",) if scene_of(settings.to_json())[1].hostile else ()
         results = read_results(folder, (*COLUMNS, *judged))
@@ -100,7 +97,7 @@ def campaign_errors() -> Iterator[None]:
 
 
 class CampaignProgress:
-    """Print the progress of a campaign on stderr: a bar on a terminal, else a line at every tenth.
+    """Print the progress of a campaign on stderr: a line at every tenth.
 
     Args:
         total: dockings.
@@ -114,7 +111,6 @@ class CampaignProgress:
         self._charged = 0
         self._started = time.monotonic()
         self._tell = Tenths(begun / total)
-        self._bar = sys.stderr is not None and sys.stderr.isatty()
         if begun:
             log_line(f"{begun} of {total} dockings exist already")
 
@@ -122,25 +118,11 @@ class CampaignProgress:
         """Count written rows."""
         self._done += len(rows)
         self._charged += sum(row["charged"] for row in rows)
-        if self._bar:
-            full = _BAR * self._done // self._total
-            print(f"\r[{'#' * full}{'.' * (_BAR - full)}] {self._line()}  ", end="", file=sys.stderr, flush=True)
-        else:
-            self._tell(self._done / self._total, self._line())
-
-    def end(self) -> None:
-        """End the line of the bar."""
-        if self._bar:
-            log_line("")
-
-    def _line(self) -> str:
         run = self._done - self._begun
         rate = run / max(time.monotonic() - self._started, 1e-9)
         left = (self._total - self._done) / rate if rate else 0.0
-        return (
-            f"{self._done} of {self._total} dockings, {self._charged} of {run} new ones charged, {rate:.1f} per s, "
-            f"{left:.0f} s left"
-        )
+        line = f"{self._done} of {self._total} dockings, {self._charged} of {run} new ones charged, {rate:.1f} per s"
+        self._tell(self._done / self._total, f"{line}, {left:.0f} s left")
 
 
 def _folder(options: argparse.Namespace) -> Path:

@@ -6,7 +6,6 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-import re
 import subprocess
 import sys
 import time
@@ -28,12 +27,6 @@ from deltacharger_scenes.scene import Scene, SceneError, SceneGoal, load_scene, 
 
 if TYPE_CHECKING:
     import psutil
-
-LIBRARIES = (
-    *("torch", "sklearn", "xgboost", "cv2", "depthai", "mujoco", "matplotlib", "scipy", "pandas", "pyarrow", "casadi"),
-    *("mcap", "zstandard", "rerun", "PIL"),
-)
-"""Heavy libraries by module name, which is a prefix of their folder or file names."""
 
 
 @dataclass(frozen=True)
@@ -98,17 +91,6 @@ def usage(roots: Iterable[int]) -> Usage:
     return Usage(len(each), threads, cpu, pss, rss)
 
 
-def mapped(roots: Iterable[int]) -> set[str]:
-    """Return those of `LIBRARIES` with a file in the memory of one of these processes."""
-    import psutil
-
-    text = ""
-    for process in family(roots):
-        with contextlib.suppress(psutil.NoSuchProcess):
-            text += "\n".join(each.path for each in process.memory_maps())
-    return {name for name in LIBRARIES if re.search(rf"/{name}[/._]", text)}
-
-
 ONE, SEPARATE = "one process", "separate processes"
 WAYS = (ONE, SEPARATE)
 _PORTS_WITHIN = 30.0  # s until emulated hardware has its ports
@@ -116,10 +98,8 @@ _END_WITHIN = 15.0  # s that a process may take to reach a safe state
 _HARDWARE = "simulated hardware"
 COMMAND = "deltacharger up"
 
-# A process writes at its end the names of all imported modules.
-_LIST_MODULES = "import atexit, sys; atexit.register(lambda: open({file!r}, 'w').write('\\n'.join(sys.modules)))\n"
-_CLI = "from deltacharger_bringup.cli.main import main; sys.exit(main())"
-_NODE = "from {module} import main; sys.exit(main())"
+_CLI = "import sys; from deltacharger_bringup.cli.main import main; sys.exit(main())"
+_NODE = "import sys; from {module} import main; sys.exit(main())"
 
 
 class CannotRun(Exception):
@@ -133,14 +113,12 @@ class Started:
     Attributes:
         began: start of the first, s, monotonic.
         processes: by name, in the order of starting.
-        modules: names of all imported modules; known after their end.
         folder: with their output.
     """
 
     folder: Path
     began: float = 0.0
     processes: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
-    modules: set[str] = field(default_factory=set)
 
     @property
     def pids(self) -> list[int]:
@@ -149,7 +127,6 @@ class Started:
 
     def start(self, name: str, code: str, *words: str) -> None:
         """Start a process that runs `code` with a command line."""
-        code = _LIST_MODULES.format(file=str(self._modules_file(name))) + code
         with (self.folder / f"{name}.log").open("wb") as log:
             command = [sys.executable, "-c", code, *words]
             self.processes[name] = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
@@ -170,8 +147,8 @@ class Started:
         return "ready" in self.lines(name)
 
     def end(self) -> None:
-        """End all, commanding processes first, and read their modules."""
-        for name, process in reversed(self.processes.items()):
+        """End all, commanding processes first."""
+        for process in reversed(self.processes.values()):
             if process.poll() is None:
                 process.terminate()
                 try:
@@ -179,21 +156,11 @@ class Started:
                 except subprocess.TimeoutExpired:
                     process.kill()
                     process.wait()
-            with contextlib.suppress(OSError):  # a killed process writes nothing
-                self.modules |= set(self._modules_file(name).read_text("utf-8").split("\n"))
-
-    @property
-    def libraries(self) -> set[str]:
-        """Heavy libraries among the modules."""
-        return {module.partition(".")[0] for module in self.modules} & set(LIBRARIES)
 
     def lines(self, name: str) -> list[str]:
         """Return the lines that a process wrote."""
         text = (self.folder / f"{name}.log").read_text("utf-8", "replace")
         return [line.strip() for line in text.split("\n")]
-
-    def _modules_file(self, name: str) -> Path:
-        return self.folder / f"{name}.modules"
 
 
 @contextlib.contextmanager
@@ -436,9 +403,6 @@ def measure(scene: Scene, way: str, plan: FootprintPlan, context: Context, folde
             found |= _docking(watcher, scene, started, plan)
             after = _use(started)
             found["pss_mb"], found["rss_mb"] = after.pss / _MEGA, after.rss / _MEGA
-            libraries = mapped(started.pids)
-        found["libraries"] = sorted(libraries | started.libraries)
-        found["modules"] = len(started.modules)
         return found
 
 

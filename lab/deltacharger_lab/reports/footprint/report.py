@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 import os
 import statistics
@@ -13,11 +12,10 @@ from typing import Any
 
 from rclpy.context import Context
 
-from deltacharger_lab.reports.footprint.measure import LIBRARIES, ONE, CannotRun, FootprintPlan, measure
-from deltacharger_lab.reports.report import Progress, Report, at_least, at_most, none
+from deltacharger_lab.reports.footprint.measure import ONE, CannotRun, FootprintPlan, measure
+from deltacharger_lab.reports.report import Progress, Report, at_least, at_most
 
 BENCH = "bench"
-NEVER = ("torch", "sklearn", "cv2", "depthai", "mujoco", "matplotlib")  # in the bench scene
 
 
 def build(plan: FootprintPlan, context: Context, directory: Path, command: str, progress: Progress) -> dict[str, Any]:
@@ -35,12 +33,11 @@ def build(plan: FootprintPlan, context: Context, directory: Path, command: str, 
         "repeats": plan.repeats,
         "rest_s": plan.rest_s,
         "left_out": dict(plan.left_out),
-        "installed": [name for name in LIBRARIES if importlib.util.find_spec(name) is not None],
     }
     results["rows"] = _measure(plan, context, results["left_out"], progress)
     results["targets"] = targets(results["rows"])
     report.draw({}, directory)
-    return report.write(directory, looked_for=LIBRARIES)
+    return report.write(directory)
 
 
 def _measure(
@@ -66,11 +63,8 @@ def _measure(
 
 
 def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return [median, lowest, highest] of each figure of several runs, with libraries and problems."""
-    found: dict[str, Any] = {
-        "runs": len(runs),
-        "libraries": sorted({each for run in runs for each in run["libraries"]}),
-    }
+    """Return [median, lowest, highest] of each figure of several runs, with problems."""
+    found: dict[str, Any] = {"runs": len(runs)}
     problems = [run["docking_problem"] for run in runs if run["docking_problem"]]
     found["docking_problem"] = problems[0] if problems else ""
     found["dockings_failed"] = len(problems)
@@ -88,7 +82,6 @@ def targets(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     def median(key: str) -> float:
         return math.nan if row is None else float(row[key][0])
 
-    loaded = math.nan if row is None else len(set(row["libraries"]) & set(NEVER))
     what = f"{BENCH}, {ONE}"
     found = [
         at_most(f"{what}: memory, RSS", median("rss_mb"), 180.0, "MB"),
@@ -100,4 +93,4 @@ def targets(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
             found.append(at_least(f"{what}: {name} {at}", median(f"{when}_{name}_hz"), 0.99 * rate, "Hz"))
     found.append(at_most(f"{what}: reports ready", median("reports_ready_s"), 5.0, "s"))
     found.append(at_most(f"{what}: found by a client outside", median("ready_s"), 5.0, "s"))
-    return [*found, none(f"{what}: of {', '.join(NEVER)}", loaded, "loaded")]
+    return found
