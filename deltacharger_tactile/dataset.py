@@ -160,7 +160,6 @@ def _checked(source: str, arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[
         if not np.issubdtype(array.dtype, np.number) and array.dtype != bool:
             raise DatasetError(source, f"array {name} holds {array.dtype}; it must hold numbers")
     _check_values(source, arrays)
-    _check_attempts(source, arrays)
     return arrays
 
 
@@ -174,16 +173,3 @@ def _check_values(source: str, arrays: dict[str, NDArray[Any]]) -> None:
         for wrong in np.argwhere(~(np.abs(values) <= most))[:1]:
             problem = outside(float(values[tuple(wrong)]), -most, most, unit)
             raise DatasetError(source, f"row {wrong[0]} of {name}: {problem}")
-
-
-def _check_attempts(source: str, arrays: dict[str, NDArray[Any]]) -> None:
-    """Refuse an attempt that is two dockings: a split by attempt would put related rows on both sides."""
-    _, first, of = np.unique(arrays["attempt"], return_index=True, return_inverse=True)
-    for name in ("rig", "session", "subset", "angle", "vertical", "horizontal"):
-        wrong = np.flatnonzero(arrays[name] != arrays[name][first][of.reshape(-1)])
-        if len(wrong):
-            number = arrays["attempt"][wrong[0]]
-            raise DatasetError(
-                source,
-                f"attempt {number} has two values of {name}; give every docking a unique number",
-            )

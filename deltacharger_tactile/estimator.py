@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from deltacharger_core.arrays import LARGEST_MODEL, Array, Mask, NpzError, read_npz
-from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, PADS, ROWS
+from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, ROWS
 from deltacharger_tactile import features
 from deltacharger_tactile.dataset import ANGLE_CLASSES, ANGLE_LIMIT, POSITION_CLASSES, POSITION_LIMIT
 from deltacharger_tactile.errors import ModelError
@@ -311,7 +311,12 @@ class PoseEstimator:
         """
         frames = features.stack(left, right)
         shape = np.asarray(left).shape[:-2]
-        inputs, holds, contact, mean, spread = self._estimate(frames)
+        inputs, holds, touched = self._prepare(frames)
+        contact = np.asarray(np.any(frames >= CONTACT_FORCE, axis=(1, 2, 3)))  # NaN is not
+        mean, spread = np.full((len(frames), 3), np.nan), np.full((len(frames), 3), np.nan)
+        for name, rows in zip(EXPERTS, (holds & contact, touched & contact & ~holds), strict=True):
+            if rows.any():
+                mean[rows], spread[rows] = self._experts[name].predict(inputs[:, rows])
         limits = self.limits
         in_range = contact & holds & within(mean)
         if in_range.any():
@@ -326,28 +331,6 @@ class PoseEstimator:
         columns += [position_classes(pose[:, axis], stddev[:, axis]) for axis in (1, 0)]
         columns += [force[:, 0], force[:, 1], mean[:, 1], spread[:, 1]]
         return Estimate(*(shaped(column, shape) for column in columns))
-
-    def pose(self, frames: Array) -> tuple[Array, Array]:
-        """Return features (N, F) of `features.extract` at `threshold`, and the estimated pose.
-
-        Args:
-            frames: (N, 2, 10, 10) N, both pads as in `predict`.
-
-        Returns:
-            features, and (N, 3) m, m, rad, NaN without contact; half the work of `predict`.
-        """
-        inputs, _, _, mean, _ = self._estimate(frames)
-        return inputs[0, :, :-PADS], to_pose(mean)  # without the counts of filled taxels
-
-    def _estimate(self, frames: Array) -> tuple[Array, Mask, Mask, Array, Array]:
-        """Return inputs of the mirror images, whether both pads hold the ridge, contact, seat and its spread (N, 3)."""
-        inputs, holds, touched = self._prepare(frames)
-        contact = np.asarray(np.any(frames >= CONTACT_FORCE, axis=(1, 2, 3)))  # NaN is not
-        mean, spread = np.full((len(frames), 3), np.nan), np.full((len(frames), 3), np.nan)
-        for name, rows in zip(EXPERTS, (holds & contact, touched & contact & ~holds), strict=True):
-            if rows.any():
-                mean[rows], spread[rows] = self._experts[name].predict(inputs[:, rows])
-        return inputs, holds, contact, mean, spread
 
     def drifted(self, left: ArrayLike, right: ArrayLike) -> Mask:
         """Return which frames (N,) look unlike training though both pads hold the ridge."""
@@ -426,12 +409,6 @@ class PoseEstimator:
         rows, columns = self._learnt.whitening.shape
         if rows != columns:
             raise ValueError("whitening")
-
-
-def to_seat(pose: Array) -> Array:
-    """Convert poses (N, 3) m, m, rad (horizontal, vertical, angle) to seats (N, 3): along, across, angle."""
-    x, y, angle = pose.T
-    return np.column_stack([x, y * np.cos(angle) - x * np.sin(angle), angle])
 
 
 def to_pose(seat: Array) -> Array:

@@ -3,8 +3,7 @@
 
 Topics: subscribes `tactile_frame` while a request waits or `rate` > 0; publishes `misalignment` if `rate` > 0.
 Services: `predict_misalignment` averages frames that are sampled after the request.
-Parameters: model, calibration, classifiers, frames, rate and timeout may be set while the node runs; max_age and
-frame_prefix may not.
+Parameters: model, calibration, classifiers, rate, max_age, timeout, frame_prefix.
 The node moves nothing.
 """
 
@@ -29,11 +28,11 @@ from deltacharger_ros.clock import stamp_age
 from deltacharger_ros.log import Log
 from deltacharger_ros.messages import unknown_misalignment
 from deltacharger_ros.on_demand import OnDemandSubscription
-from deltacharger_ros.parameters import Regularly, Tuning, declare_all, reject_unknown
+from deltacharger_ros.parameters import Regularly, declare_all, reject_unknown
 from deltacharger_ros.qos import SERVICE
 from deltacharger_tactile.errors import FrameError
 from deltacharger_tactile.estimator import Estimate
-from deltacharger_tactile.parameters import FRAMES_MAX, MisalignmentNodeParameters
+from deltacharger_tactile.parameters import FRAMES, FRAMES_MAX, MisalignmentNodeParameters
 from deltacharger_tactile.perception import Frame, FrameWindow, Perception, PerceptionError, Refused
 
 
@@ -86,7 +85,8 @@ class MisalignmentNode(Node):
             self._perception = Perception.load(given.model, given.calibration, given.classifiers)
         except PerceptionError as error:
             raise node_support.StartupError(f"{self.get_name()}: {error}") from error
-        self._log_doubt()
+        if self._perception.doubt:
+            self._log.warning(self._perception.doubt)
         self._window = FrameWindow(time.monotonic)
         self._publisher = self.create_publisher(Misalignment, "misalignment", QoSProfile(depth=1))
         self._frames = OnDemandSubscription(self, TactileFrame, "tactile_frame", self._receive, qos_profile_sensor_data)
@@ -99,31 +99,11 @@ class MisalignmentNode(Node):
         )
         self._regularly = Regularly(self._publish, "misalignment")
         self._regularly.start(given.rate)
-        Tuning(self, given, self._take)
 
     def close(self) -> None:
         """Release waiting requests and stop the publisher."""
         self._window.close()
         self._regularly.stop()
-
-    def _take(self, given: MisalignmentNodeParameters) -> str:
-        """Use other parameters. Pending requests keep theirs; if a file is refused, the old parameters stay."""
-        before, files = self._given, (given.model, given.calibration, given.classifiers)
-        if files != (before.model, before.calibration, before.classifiers):
-            try:
-                self._perception = Perception.load(*files)
-            except PerceptionError as error:
-                return f"{error}; {self._perception.name} stays in use"
-            self._log.info(f"estimates with {self._perception.name} from now on")
-            self._log_doubt()
-        self._given = given
-        if given.rate != before.rate:
-            self._regularly.start(given.rate)
-        return ""
-
-    def _log_doubt(self) -> None:
-        if self._perception.doubt:
-            self._log.warning(self._perception.doubt)
 
     def _receive(self, message: TactileFrame) -> None:
         try:
@@ -139,7 +119,7 @@ class MisalignmentNode(Node):
         self, request: PredictMisalignment.Request, response: PredictMisalignment.Response
     ) -> PredictMisalignment.Response:
         given = self._given
-        wanted = request.frames or given.frames
+        wanted = request.frames or FRAMES
         response.misalignment = unknown_misalignment(self._frame_id)
         if wanted > FRAMES_MAX:
             kept = FRAMES_MAX
@@ -172,7 +152,7 @@ class MisalignmentNode(Node):
             while not stopping.wait(max(following - time.monotonic(), 0.0)):
                 following = max(following + period, time.monotonic())
                 given = self._given
-                frames = self._window.newest(given.frames)
+                frames = self._window.newest(FRAMES)
                 if not frames:
                     continue
                 try:

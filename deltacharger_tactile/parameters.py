@@ -23,10 +23,12 @@ from deltacharger_core.machine import (
     PADS,
     ROWS,
 )
-from deltacharger_core.parameters import Bounded, number, tunable, words
+from deltacharger_core.parameters import Bounded, number, words
 
 SHAPE = (PADS, ROWS, COLUMNS)
 """Shape of both pads' readings."""
+FRAMES = 12
+"""Tactile frames averaged if a request states 0: a tenth of a second."""
 FRAMES_MAX = 240
 """Most tactile frames averaged in one estimate: two seconds."""
 _DEGREE = math.pi / 180.0
@@ -111,17 +113,15 @@ class TactileParameters:
 
 @dataclass(frozen=True)
 class MisalignmentNodeParameters(Bounded):
-    """Files, frames and limits of misalignment_node; only max_age is fixed while it runs."""
+    """Files and limits of misalignment_node."""
 
-    model: str = words("", "Pose model (npz); empty = the packaged one.", tunable=True)
-    calibration: str = words("", "Calibration of this rig's pads (YAML); empty = none.", tunable=True)
+    model: str = words("", "Pose model (npz); empty = the packaged one.")
+    calibration: str = words("", "Calibration of this rig's pads (YAML); empty = none.")
     classifiers: tuple[str, ...] = words(
         ("",),
         "Source of class probabilities instead of the pose model: the name of a packaged model, or files (npz), at "
         "most one per target; [''] = none.",
-        tunable=True,
     )
-    frames: int = tunable(12, 1, FRAMES_MAX, "", "Frames averaged if a request states 0.")
-    rate: float = tunable(0.0, 0.0, 120.0, "Hz", "Rate of the topic misalignment, {unit}; 0 = off.")
+    rate: float = number(0.0, 0.0, 120.0, "Hz", "Rate of the topic misalignment, {unit}; 0 = off.")
     max_age: float = number(0.1, 0.01, 10.0, "s", "Largest age of the newest frame")
-    timeout: float = tunable(1.0, 0.05, 30.0, "s", "Longest wait for frames beyond their duration at 120 Hz")
+    timeout: float = number(1.0, 0.05, 30.0, "s", "Longest wait for frames beyond their duration at 120 Hz")

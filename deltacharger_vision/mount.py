@@ -29,31 +29,6 @@ _SQUARE = 0.01  # cosine between bars and normal, which are perpendicular: a lar
 _STEEPEST = 0.1  # least share of a normal along z: a lean of 84°
 
 
-@dataclass(frozen=True)
-class PlateLean:
-    """Lean of the touched faces in charger_base, rad; all NaN if the normal is unknown.
-
-    Attributes:
-        yaw: about +y.
-        pitch: about +x.
-        covariance: (2, 2) of both, in this order.
-    """
-
-    yaw: float
-    pitch: float
-    covariance: Array
-
-    @property
-    def yaw_stddev(self) -> float:
-        """Standard deviation of the yaw, rad."""
-        return math.sqrt(self.covariance[0, 0])
-
-    @property
-    def pitch_stddev(self) -> float:
-        """Standard deviation of the pitch, rad."""
-        return math.sqrt(self.covariance[1, 1])
-
-
 @dataclass(frozen=True, eq=False)
 class Placed:
     """Electrodes in charger_base.
@@ -90,23 +65,6 @@ class Placed:
         if not self.upright:
             found[3:5, :] = found[:, 3:5] = math.nan
         return found
-
-    def lean(self) -> PlateLean:
-        """Return the lean, with its first-order covariance."""
-        if not self.upright:
-            return PlateLean(math.nan, math.nan, np.full((2, 2), math.nan))
-        x, _, z = self.rotation().T
-        # dz = dω × z, and dωz follows the roll: dωz = d roll + x_z (x_x dωx + x_y dωy) / (x_x² + x_y²).
-        about_z = np.array([*(x[2] * x[:2] / (x[0] ** 2 + x[1] ** 2)), 1.0])
-        turning = np.vstack([np.eye(3)[:2], about_z])
-        moved = np.array([[0.0, z[2], -z[1]], [-z[2], 0.0, z[0]], [z[1], -z[0], 0.0]]) @ turning
-        slope = np.stack(
-            [
-                (z[2] * moved[0] - z[0] * moved[2]) / (z[0] ** 2 + z[2] ** 2),
-                (z[1] * moved[2] - z[2] * moved[1]) / (z[1] ** 2 + z[2] ** 2),
-            ]
-        )
-        return PlateLean(math.atan2(z[0], z[2]), math.atan2(-z[1], z[2]), slope @ self.covariance[3:, 3:] @ slope.T)
 
 
 def leaning_normal(yaw: float, pitch: float) -> Array:

@@ -226,15 +226,6 @@ _FOLDS = 5
 
 
 @dataclass(frozen=True)
-class Parts:
-    """Parts to learn; the others stay neutral."""
-
-    gain: bool = True
-    load_shift: bool = True
-    bias: bool = True
-
-
-@dataclass(frozen=True)
 class PadFit:
     """A calibration and its evidence.
 
@@ -287,18 +278,16 @@ def predict(model: PoseEstimator, calibration: TactileCalibration, frames: Array
     return pose, spread, np.asarray(estimate.in_range)
 
 
-def fit(dockings: KnownDockings, model: PoseEstimator, parts: Parts | None = None) -> PadFit:
+def fit(dockings: KnownDockings, model: PoseEstimator) -> PadFit:
     """Learn from dockings of one rig.
 
     Args:
         dockings: at least FEWEST in range.
         model: pose model to calibrate for.
-        parts: what to learn; None = everything.
 
     Raises:
         SensorCalibrationError: too few dockings are in range, or the data lack readings that the robot uses.
     """
-    wanted = parts or Parts()
     if dockings.threshold > model.threshold:
         raise SensorCalibrationError(
             f"rig {dockings.rig}",
@@ -316,13 +305,13 @@ def fit(dockings: KnownDockings, model: PoseEstimator, parts: Parts | None = Non
         )
     frames = np.where(made.dead, np.nan, dockings.frames)[usable]
     gain, misfit = _gains(frames, pose[usable], dockings.threshold)
-    if wanted.gain and misfit <= MISFIT_LIMIT:
+    if misfit <= MISFIT_LIMIT:
         made = dataclasses.replace(made, gain=gain)
-    shift, shift_error, per_newton = _load_shift(dockings, model, made) if wanted.load_shift else (0.0, math.inf, 0.0)
+    shift, shift_error, per_newton = _load_shift(dockings, model, made)
     kept = _kept(shift, shift_error, _SHIFT_DOUBT) if misfit <= MISFIT_LIMIT else 0.0
     made = dataclasses.replace(made, load_shift=kept * shift)
     bias, error = _bias(dockings, model, made)
-    share = np.array([_kept(*pair, _BIAS_DOUBT) for pair in zip(bias, error, strict=True)]) * wanted.bias
+    share = np.array([_kept(*pair, _BIAS_DOUBT) for pair in zip(bias, error, strict=True)])
     variance = np.where(share > 0.0, share * error, 0.0) * np.where(share > 0.0, error, 0.0)
     if kept:
         variance[0] += kept * (per_newton * shift_error) ** 2
@@ -330,7 +319,7 @@ def fit(dockings: KnownDockings, model: PoseEstimator, parts: Parts | None = Non
     return PadFit(made, count, misfit, shift, shift_error, bias, error)
 
 
-def judge(dockings: KnownDockings, model: PoseEstimator, parts: Parts | None = None) -> Worth:
+def judge(dockings: KnownDockings, model: PoseEstimator) -> Worth:
     """Calibrate with four fifths of the dockings and test on the rest, five times."""
     order = np.random.default_rng(0).permutation(len(dockings))
     neutral = TactileCalibration(dead=find(dockings).dead)
@@ -341,7 +330,7 @@ def judge(dockings: KnownDockings, model: PoseEstimator, parts: Parts | None = N
     for fold in range(_FOLDS):
         others, held_out = np.delete(order, np.s_[fold::_FOLDS]), order[fold::_FOLDS]
         try:
-            made = fit(dockings.part(others), model, parts).calibration
+            made = fit(dockings.part(others), model).calibration
         except SensorCalibrationError:  # too few of the others are in range for a calibration
             made = neutral
         with_it[held_out], _, has[held_out] = predict(model, made, dockings.frames[held_out])

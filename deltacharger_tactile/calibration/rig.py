@@ -8,8 +8,6 @@ numpy; its file needs PyYAML.
 from __future__ import annotations
 
 import dataclasses
-import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,7 +18,6 @@ from numpy.typing import ArrayLike, NDArray
 from deltacharger_core.arrays import Array, Mask
 from deltacharger_core.files import brief
 from deltacharger_core.machine import PADS
-from deltacharger_core.parameters import did_you_mean
 from deltacharger_core.yaml_file import YamlError, read_yaml, write_yaml
 from deltacharger_tactile.dataset import ANGLE_LIMIT, POSITION_LIMIT
 from deltacharger_tactile.errors import FrameError, SensorCalibrationError
@@ -186,7 +183,6 @@ def _as_mapping(calibration: TactileCalibration) -> dict[str, Any]:
     return {
         "version": VERSION,
         **{name: getattr(calibration, name) for name in _PLAIN},
-        "load_shift": float(calibration.load_shift),
         "bias": dict(zip(AXES, calibration.bias.tolist(), strict=True)),
         "bias_stddev": dict(zip(AXES, calibration.bias_stddev.tolist(), strict=True)),
         "dead": np.argwhere(calibration.dead).tolist(),
@@ -195,6 +191,7 @@ def _as_mapping(calibration: TactileCalibration) -> dict[str, Any]:
 
 
 _PLAIN: dict[str, type] = {
+    "load_shift": float,
     "rig": int,
     "sensor": str,
     "model": str,
@@ -206,59 +203,36 @@ _PLAIN: dict[str, type] = {
 
 
 def _from_mapping(content: Any) -> TactileCalibration:
-    keys = ("version", *_PLAIN, "load_shift", "bias", "bias_stddev", "dead", "gain")
-    _keys("the file", content, keys)
+    keys = ("version", *_PLAIN, "bias", "bias_stddev", "dead", "gain")
+    if not isinstance(content, dict) or set(content) != set(keys):
+        raise SensorCalibrationError("the file", f"must be a mapping of exactly {', '.join(keys)}; calibrate again")
     if content["version"] != VERSION:
         raise SensorCalibrationError("version", f"{brief(content['version'])} is not {VERSION}; calibrate again")
     for name, kind in _PLAIN.items():
         if type(content[name]) is not kind:
             raise SensorCalibrationError(name, f"{brief(content[name])} is not of type {kind.__name__}")
-    _keys("gain", content["gain"], SIDES)
-    _keys("bias", content["bias"], AXES)
-    _keys("bias_stddev", content["bias_stddev"], AXES)
     return TactileCalibration(
-        gain=np.stack([_numbers(f"gain.{side}", content["gain"][side], SHAPE[1:]) for side in SIDES]),
+        gain=_numbers("gain", content, SIDES),
         dead=_taxels(content["dead"]),
-        load_shift=float(_numbers("load_shift", content["load_shift"], ())),
-        bias=np.array([_numbers(f"bias.{axis}", content["bias"][axis], ()) for axis in AXES]),
-        bias_stddev=np.array([_numbers(f"bias_stddev.{axis}", content["bias_stddev"][axis], ()) for axis in AXES]),
+        bias=_numbers("bias", content, AXES),
+        bias_stddev=_numbers("bias_stddev", content, AXES),
         **{name: content[name] for name in _PLAIN},
     )
 
 
-def _keys(where: str, mapping: Any, known: tuple[str, ...]) -> None:
-    if not isinstance(mapping, Mapping):
-        raise SensorCalibrationError(where, f"must be a mapping with the keys {', '.join(known)}")
-    for key in mapping:
-        if key not in known:
-            hint = did_you_mean(key, known) or f"; known keys are {', '.join(known)}"
-            raise SensorCalibrationError(str(key), f"unknown key in {where}{hint}")
-    missing = [key for key in known if key not in mapping]
-    if missing:
-        raise SensorCalibrationError(where, f"missing key {', '.join(missing)}; calibrate again")
-
-
-def _numbers(where: str, value: Any, shape: tuple[int, ...]) -> Array:
-    def plain(item: Any) -> bool:
-        if isinstance(item, list):
-            return all(plain(part) for part in item)
-        return isinstance(item, int | float) and not isinstance(item, bool) and math.isfinite(item)
-
+def _numbers(where: str, content: dict[str, Any], names: tuple[str, ...]) -> Array:
+    """Return the numbers of `names` in the mapping `where`, one row each; `TactileCalibration` checks their bounds."""
     try:
-        numbers = np.array(value, dtype=float) if plain(value) else None
-    except (ValueError, OverflowError, RecursionError):
-        numbers = None
-    if numbers is None or numbers.shape != shape:
-        wanted = f"{shape[0]} rows of {shape[1]} numbers" if shape else "a number"
-        raise SensorCalibrationError(where, f"must be {wanted}, all finite")
-    return numbers
+        return np.array([content[where][name] for name in names], dtype=float)
+    except (TypeError, ValueError, KeyError, OverflowError, RecursionError) as error:
+        raise SensorCalibrationError(where, f"must have numbers for {', '.join(names)}; calibrate again") from error
 
 
 def _taxels(value: Any) -> Mask:
     dead = np.zeros(SHAPE, dtype=bool)
     for place in value if isinstance(value, list) else [value]:
-        numbers = isinstance(place, list) and len(place) == len(SHAPE) and all(type(part) is int for part in place)
-        if not numbers or not all(0 <= part < size for part, size in zip(place, SHAPE, strict=True)):
+        whole = isinstance(place, list) and len(place) == len(SHAPE) and all(type(part) is int for part in place)
+        if not whole or not all(0 <= part < size for part, size in zip(place, SHAPE, strict=True)):
             raise SensorCalibrationError("dead", f"{brief(place)} is not [pad 0–1, row 0–9, column 0–9]")
         dead[tuple(place)] = True
     return dead

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import functools
-import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
@@ -16,95 +15,46 @@ import deltacharger_tactile
 from deltacharger_core.arrays import Array
 from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, PADS, ROWS
 from deltacharger_core.texts import cut
-from deltacharger_tactile import PoseEstimator, default_model, features, model_path
-from deltacharger_tactile.classifiers import labels, runtime
-from deltacharger_tactile.classifiers.labels import TARGETS
+from deltacharger_tactile.classifiers import runtime
 from deltacharger_tactile.classifiers.runtime import KINDS
+from deltacharger_tactile.dataset import ANGLE_CLASSES, POSITION_CLASSES
 from deltacharger_tactile.errors import ModelError, UnknownModelError
 from deltacharger_tactile.parameters import TactileParameters
 
-POSE = 3
-"""Columns of the estimated pose: mm, mm, degrees."""
-_POSE_UNITS = np.array([1e3, 1e3, 180.0 / np.pi])
+TARGETS = ("angle", "vertical", "horizontal")
+MODELS = ("logistic", "svm", "knn", "tree", "gbdt", "forest", "xgboost", "nn", "cnn")
+"""Names of the paper's models, in its order."""
 
 
-def inputs(frames: Array, target: str, threshold: float) -> Array:
-    """Return physical features, the estimated pose, and from 1 N on the last hidden layer of the packaged NN.
-
-    Below 1 N that network adds nothing to the estimate: it was trained on the paper's readings.
-
-    Args:
-        frames: (N, 2, 10, 10) N, NaN where dead.
-        target: what to classify.
-        threshold: readings below it count as 0, N.
-
-    Returns:
-        (N, F + 3) or (N, F + 3 + 128); NaN unknown.
-    """
-    estimator = _estimator(threshold)
-    physical, pose = estimator.pose(frames)
-    if estimator.threshold != threshold:
-        physical = features.extract(features.fill_dead(frames), threshold).values
-    known = [physical, pose * _POSE_UNITS]
-    if threshold >= CONTACT_FORCE:
-        taxels = np.where(frames >= threshold, frames, 0.0).reshape(len(frames), -1)
-        known.append(runtime.hidden(_network(target), taxels))
-    return np.concatenate(known, axis=1)
-
-
-@functools.cache
-def digest(target: str, threshold: float) -> str:
-    """Return 16 hexadecimal digits that change with the packaged models that `inputs` asks."""
-    paths = [model_path(threshold)]
-    if threshold >= CONTACT_FORCE:
-        paths.append(_network_path(target))
-    found = hashlib.sha256()
-    for path in paths:
-        found.update(path.read_bytes())
-    return found.hexdigest()[:16]
-
-
-@functools.cache
-def _estimator(threshold: float) -> PoseEstimator:
-    return default_model(threshold)
-
-
-@functools.cache
-def _network(target: str) -> Mapping[str, NDArray[Any]]:
-    return runtime.read(_network_path(target))[1]
-
-
-def _network_path(target: str) -> Path:
-    return FOLDER / f"nn-{target}.npz"
+def classes(target: str) -> int:
+    """Return the number of classes of a target."""
+    return ANGLE_CLASSES if target == "angle" else len(POSITION_CLASSES)
 
 
 Self = TypeVar("Self", bound="Classifier")
-
-_NINE = ("logistic", "svm", "knn", "tree", "gbdt", "forest", "xgboost", "nn", "cnn")
-NAMES = dict.fromkeys(_NINE, "taxels") | {"lda": "features", "pose": "pose"}
-"""Inputs of each: all taxels, features, or features and the outputs of `pretrained`."""
-PRETRAINED = "pretrained"
-"""Key in a file: digest of the packaged models used in training."""
 
 
 class Classifier:
     """Classifies a misalignment from two tactile frames; `load` reads a trained one.
 
     Args:
-        name: one of `NAMES`.
-        target: one of `labels.TARGETS`.
+        name: one of `names`.
+        target: one of TARGETS.
         threshold: readings below it count as 0, N.
 
     Attributes:
+        names: of the classifiers that this class can be.
         about: further contents of the file: data, seeds, digest of the generator's parameters.
 
     Raises:
         ModelError: no such classifier or target.
     """
 
+    names: tuple[str, ...] = MODELS
+
     def __init__(self, name: str, target: str, threshold: float = CONTACT_FORCE) -> None:
-        if name not in NAMES or target not in labels.TARGETS:
-            raise ModelError(name, f"known are {', '.join(NAMES)} for {', '.join(labels.TARGETS)}, not '{target}'")
+        if name not in self.names or target not in TARGETS:
+            raise ModelError(name, f"known are {', '.join(self.names)} for {', '.join(TARGETS)}, not '{target}'")
         self.name = name
         self.target = target
         self.threshold = threshold
@@ -128,7 +78,7 @@ class Classifier:
 
         Raises:
             FileNotFoundError: no such file.
-            ModelError: no working classifier, or one trained on packaged models of another version.
+            ModelError: no working classifier.
         """
         about, arrays = runtime.read(path)
         try:
@@ -139,26 +89,19 @@ class Classifier:
             raise ModelError(str(path), error.reason) from error
         except Exception as error:  # arrays of a foreign file may raise anything
             raise ModelError(str(path), "its arrays and description do not fit together") from error
-        if shares.shape != (1, labels.classes(model.target)) or not np.isclose(shares.sum(), 1.0):
+        if shares.shape != (1, classes(model.target)) or not np.isclose(shares.sum(), 1.0):
             raise ModelError(str(path), "it does not give probabilities")
         return model
 
     def _restore(self, about: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
         """Take what a file holds."""
         self._kind, self._arrays = about.pop("kind"), arrays
-        if NAMES[self.name] == "pose" and about.pop(PRETRAINED, "") != digest(self.target, self.threshold):
-            raise ModelError(self.name, "it was trained on packaged models of another version; train it again")
         self.about = about
 
     def _inputs(self, frames: ArrayLike) -> Array:
-        """Return the model's inputs: (N, 200) N, (N, F) features, or features and pretrained inputs; NaN unknown."""
+        """Return the model's inputs (N, 200) N."""
         readings = readings_of(frames)
-        sees = NAMES[self.name]
-        if sees == "taxels":
-            return np.where(readings >= self.threshold, readings, 0.0).reshape(len(readings), -1)  # NaN gives 0
-        if sees == "features":
-            return features.extract(features.fill_dead(readings), self.threshold).values
-        return inputs(readings, self.target, self.threshold)
+        return np.where(readings >= self.threshold, readings, 0.0).reshape(len(readings), -1)  # NaN gives 0
 
 
 def readings_of(frames: ArrayLike) -> Array:
@@ -166,8 +109,6 @@ def readings_of(frames: ArrayLike) -> Array:
     return np.asarray(frames, dtype=float).reshape(-1, PADS, ROWS, COLUMNS)
 
 
-MODELS = tuple(name for name, sees in NAMES.items() if sees == "taxels")
-"""Their names, in the paper's order."""
 FOLDER = deltacharger_tactile.MODELS
 GENERATOR, ACCURACY = "generator", "accuracy"
 """Metadata of each file: digest of the generator's parameters; accuracy on rigs that it was not trained on."""

@@ -19,9 +19,9 @@ import numpy as np
 
 from deltacharger_lab.training.classifier import TrainableClassifier
 from deltacharger_lab.training.judgement import evaluate_classifier
+from deltacharger_lab.training.labels import examples
 from deltacharger_lab.training.splits import by_docking
 from deltacharger_sim.pads import generate_paper
-from deltacharger_tactile.classifiers.labels import examples
 
 if find_spec("sklearn") is None:
     sys.exit("scikit-learn is not installed: `make trainers`, or `pip install 'deltacharger-lab[train]'`")

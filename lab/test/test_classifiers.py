@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 from pathlib import Path
@@ -13,14 +14,15 @@ import pytest
 from numpy.typing import NDArray
 
 import deltacharger_tactile
-from deltacharger_lab.training import reliability, splits
-from deltacharger_lab.training.classifier import DEFAULT, TrainableClassifier
+from deltacharger_lab.training import labels, reliability, splits
+from deltacharger_lab.training.classifier import DEFAULT, TrainableClassifier, write
+from deltacharger_lab.training.inputs import NAMES, digest
 from deltacharger_lab.training.judgement import evaluate_classifier
+from deltacharger_lab.training.labels import Examples, examples
 from deltacharger_lab.training.reliability import WINDOW, Familiarity
 from deltacharger_sim.pads import Rig, generate_continuous, generate_paper, measure
-from deltacharger_tactile.classifiers import classifier, labels
-from deltacharger_tactile.classifiers.classifier import NAMES, Classifier
-from deltacharger_tactile.classifiers.labels import Examples, examples
+from deltacharger_tactile.classifiers import classifier
+from deltacharger_tactile.classifiers.classifier import Classifier
 from deltacharger_tactile.dataset import Dataset
 from deltacharger_tactile.errors import DatasetError, ModelError
 from deltacharger_tactile.parameters import TactileParameters
@@ -64,7 +66,7 @@ def test_numpy_matches_the_trainer_its_file_and_the_same_seed(name: str, angle: 
     np.testing.assert_allclose(found.sum(axis=1), 1.0, atol=1e-9)
     assert np.mean(found.argmax(axis=1) == rows.labels) > (0.35 if name == "svm" else 0.5)  # few examples
     model.save(tmp_path / "model.npz")
-    again = Classifier.load(tmp_path / "model.npz")
+    again = TrainableClassifier.load(tmp_path / "model.npz")
     np.testing.assert_allclose(again.predict_proba(rows.frames), found, atol=1e-12)
     assert (again.name, again.target) == (name, "angle")
     if name in ("forest", "cnn"):  # draw while they learn
@@ -80,7 +82,7 @@ def test_a_shrunk_model_predicts_the_same_from_a_smaller_file(name: str, tmp_pat
     known = model.predict(rows.frames)
     model.save(tmp_path / "whole.npz")
     model.shrink(rows.frames).save(tmp_path / "small.npz")
-    np.testing.assert_array_equal(Classifier.load(tmp_path / "small.npz").predict(rows.frames), known)
+    np.testing.assert_array_equal(TrainableClassifier.load(tmp_path / "small.npz").predict(rows.frames), known)
     np.testing.assert_array_equal(model.predict(rows.frames), known)
     assert (tmp_path / "small.npz").stat().st_size < 0.7 * (tmp_path / "whole.npz").stat().st_size
 
@@ -271,3 +273,13 @@ def test_sets_of_held_out_frames_reach_nominal_coverage(known: Known) -> None:
     familiar = reliability.learn(shares, labels, frames, THRESHOLD, familiar=other)
     assert familiar.quantile == learnt.quantile
     assert not np.array_equal(familiar.familiar.weights, learnt.familiar.weights)
+
+
+def test_a_classifier_trained_on_other_packaged_models_is_refused(tmp_path: Path) -> None:
+    width = TrainableClassifier("pose", "vertical")._inputs(np.ones((1, 2, 10, 10))).shape[1]
+    arrays = {"weights": np.zeros((width, 5)), "bias": np.zeros(5), "usual": np.zeros(width)}
+    about = {"name": "pose", "target": "vertical", "threshold": 1.0, "kind": "linear"}
+    for pretrained, fits in ((digest("vertical", 1.0), True), ("0" * 16, False)):
+        write(tmp_path / "model.npz", {**about, "pretrained": pretrained}, arrays)
+        with contextlib.nullcontext() if fits else pytest.raises(ModelError, match="version"):
+            TrainableClassifier.load(tmp_path / "model.npz")

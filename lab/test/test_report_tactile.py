@@ -14,10 +14,10 @@ from deltacharger_lab.reports.pool import ReportFailed, ReportTask, work
 from deltacharger_lab.reports.tactile import plan as tactile_plan
 from deltacharger_lab.reports.tactile import second
 from deltacharger_lab.reports.tactile.report import FIRES, HOLDS, NEITHER, shifts
-from deltacharger_lab.training.estimator import TrainablePoseEstimator
+from deltacharger_lab.training.estimator import TrainablePoseEstimator, to_seat
 from deltacharger_sim.pads import generate_continuous
 from deltacharger_tactile.classifiers.classifier import Classifier
-from deltacharger_tactile.estimator import Estimate, to_seat
+from deltacharger_tactile.estimator import Estimate
 
 KEYS = ("threshold", "frames", "physics")
 PLAN = tactile_plan.quick_plan(1)

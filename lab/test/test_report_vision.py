@@ -25,12 +25,13 @@ from deltacharger_lab.reports.vision.conditions import (
     members,
 )
 from deltacharger_lab.reports.vision.drawing import KINDS, draw_decoy, draw_obstruction, draw_room, hidden_share
-from deltacharger_lab.reports.vision.measure import FIELDS, Photographer, errors
+from deltacharger_lab.reports.vision.measure import FIELDS, Photographer, errors, lean
 from deltacharger_lab.reports.vision.report import row, targets
 from deltacharger_vision.detector.detector import ElectrodeDetector
+from deltacharger_vision.mount import Placed
 from deltacharger_vision.rendering.camera import SimulatedCamera
 from deltacharger_vision.rendering.scene import RenderedScene
-from deltacharger_vision.terminal import LOWER, UPPER, Detection, Terminal
+from deltacharger_vision.terminal import LOWER, UPPER, Detection, Terminal, turn
 from test.marks import night, rest
 from test.vision.test_detector import looks, wrong_and_sure
 from test.vision.views import cover, view
@@ -158,3 +159,20 @@ def test_a_cover_hides_its_share_of_its_bar_if_in_front(share: float, bar: int, 
     box.pose[2, 3] = 0.01 if behind else box.pose[2, 3]
     found = hidden_share([box], Terminal(), view(10.0))
     assert found == pytest.approx(0.0 if behind else 0.5 * share, abs=0.02)
+
+
+def test_the_lean_and_its_covariance_follow_the_orientation() -> None:
+    random, spread = np.random.default_rng(4), np.array([6e-3, 9e-3, 3e-3])
+    axes = turn(np.array([0.3, -0.25, 0.5]))
+    roll = math.atan2(axes[1, 0], axes[0, 0])
+    covariance = np.diag([0.0] * 3 + [*spread[:2] ** 2, spread[2] ** 2])
+    yaw, pitch, predicted = lean(Placed(np.zeros(3), roll, -axes[:, 2], covariance))
+    assert (yaw, pitch) == pytest.approx((math.atan2(axes[0, 2], axes[2, 2]), math.atan2(-axes[1, 2], axes[2, 2])))
+    off = []
+    for about_x, about_y, more_roll in random.normal(scale=spread, size=(400, 3)):
+        x, _, _ = axes.T
+        about_z = more_roll + x[2] * (x[0] * about_x + x[1] * about_y) / (x[0] ** 2 + x[1] ** 2)
+        z = turn(np.array([about_x, about_y, about_z])) @ axes[:, 2]
+        off.append([math.atan2(z[0], z[2]) - yaw, math.atan2(-z[1], z[2]) - pitch])
+    whitened = np.linalg.solve(np.linalg.cholesky(predicted), np.transpose(off))
+    assert np.cov(whitened) == pytest.approx(np.eye(2), abs=0.25)

@@ -130,7 +130,7 @@ BROKEN = [
     ({}, "ports: {servo: /dev/no_servo, board: /dev/no_board}", "there is no such port"),
     (
         {},
-        "{nodes: [misalignment_node], parameters: {misalignment_node: {frames: 0}}}",
+        "{nodes: [misalignment_node], parameters: {misalignment_node: {rate: -1.0}}}",
         "misalignment_node cannot start as configured",
     ),
 ]

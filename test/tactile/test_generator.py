@@ -148,7 +148,6 @@ def spoilt(value: float) -> Callable[[Any], Any]:
         ("angle", lambda angle: np.full_like(angle, -3.0), "row 0 of angle: -3.0 .* degrees"),
         ("vertical", lambda vertical: np.full_like(vertical, 5.0), "row 0 of vertical: 5.0 .* millimetres"),
         ("contact_pose", spoilt(10.0), r"row 3 of contact_pose \(horizontal\): 10.0 .* millimetres"),
-        ("attempt", lambda attempt: attempt % 10, "two values of rig"),
         ("left", lambda left: left.astype(object), "damaged"),
     ],
 )

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import threading
 from array import array
@@ -14,13 +13,10 @@ import numpy as np
 import pytest
 from deltacharger.msg import Misalignment, TactileFrame
 from deltacharger.srv import PredictMisalignment
-from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
 
 from deltacharger_ros.node_support import StartupError
-from deltacharger_tactile import MODEL_PATH
 from deltacharger_tactile.calibration.rig import TactileCalibration
 from deltacharger_tactile.errors import FrameError
 from deltacharger_tactile.misalignment_node import MisalignmentNode, to_frame
@@ -39,7 +35,6 @@ class Pads(Node):
         super().__init__("pads", **options(context))
         self.publisher = self.create_publisher(TactileFrame, "tactile_frame", qos_profile_sensor_data)
         self.client = self.create_client(PredictMisalignment, "predict_misalignment")
-        self.setter = self.create_client(SetParametersAtomically, "misalignment_node/set_parameters_atomically")
         self.received: list[Misalignment] = []
         self.create_subscription(Misalignment, "misalignment", self.received.append, 1)
         self.frames, self.tared, self.delay, self.streaming, self._sent = docked(), True, 0.0, False, 0
@@ -60,26 +55,21 @@ class Pads(Node):
     def ask(self, frames: int = 0, model: str = "") -> Any:
         return call(self.client, PredictMisalignment.Request(frames=frames, model=model))
 
-    def set(self, **values: Any) -> Any:
-        """Set parameters of the node at once and return the result."""
-        parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
-        return call(self.setter, SetParametersAtomically.Request(parameters=parameters)).result
-
 
 @pytest.fixture
-def pads(context: Any, spin: Spin) -> Pads:
+def pads(context: Any, spin: Spin, request: pytest.FixtureRequest, tmp_path: Path) -> Pads:
     # An answer's age depends on this computer's load: these tests show other laws.
-    node = MisalignmentNode(**options(context, rate=20.0, timeout=0.1, max_age=1.0))
-    spin(node)
+    TactileCalibration(rig=8).save(tmp_path / "pads.yaml")
+    files = {"calibration": str(tmp_path / "pads.yaml"), "classifiers": ["tree"]}
+    spin(MisalignmentNode(**options(context, rate=20.0, max_age=1.0, **files, **getattr(request, "param", {}))))
     client: Pads = spin(Pads(context))
-    wait_until(lambda: client.client.service_is_ready() and client.setter.service_is_ready())
+    wait_until(lambda: client.client.service_is_ready())
     wait_until(lambda: client.publisher.get_subscription_count() == 1)
     return client
 
 
 @pytest.mark.version
 def test_answers_come_from_fresh_frames_and_list_them(pads: Pads) -> None:
-    assert pads.set(timeout=5.0).successful
     pads.streaming = True
     asked = pads.get_clock().now().nanoseconds
     answer, second = pads.ask(), pads.ask(12)
@@ -92,7 +82,8 @@ def test_answers_come_from_fresh_frames_and_list_them(pads: Pads) -> None:
     for name, true in zip(("horizontal", "vertical", "angle", "across"), (*TRUTH, across), strict=True):
         assert abs(getattr(found, name) - true) < 4 * getattr(found, f"{name}_stddev")
     assert np.isnan([found.yaw, found.pitch, found.yaw_stddev, found.pitch_stddev]).all()
-    assert (len(found.angle_probability), found.model[:4], found.left_force > 10) == (6, "pose", True)
+    assert (len(found.angle_probability), found.model, found.left_force > 10) == (6, "pose-2+rig8+tree", True)
+    assert pads.ask(model="svm").misalignment.model == "pose-2+rig8+svm"
     one, two = list(answer.sequences), list(second.sequences)
     assert len(one) == len(two) == 12
     assert sorted({*one, *two}) == one + two, "each once, increasing, the second's all later"
@@ -100,12 +91,11 @@ def test_answers_come_from_fresh_frames_and_list_them(pads: Pads) -> None:
     assert pads.received[-1].in_range
 
 
+@pytest.mark.parametrize("pads", [{"timeout": 0.1}], indirect=True)
 def test_refusals_are_unknown_and_list_no_frames(pads: Pads) -> None:
     refused = [("tactile_node", pads.ask(4)), ("240", pads.ask(1000)), ("known", pads.ask(model="x" * 100_000))]
     pads.tared, pads.streaming = False, True
-    assert pads.set(timeout=5.0).successful
-    refused.append(("tare", pads.ask(4)))
-    assert pads.set(timeout=0.1).successful
+    refused.append(("tare", wait_until(lambda: next((each for each in [pads.ask(4)] if "tare" in each.message), None))))
     pads.tared, pads.delay = True, 2.0  # every stamp is now before the request
     refused.append(("old", pads.ask(4)))
     for noun, answer in refused:
@@ -115,41 +105,6 @@ def test_refusals_are_unknown_and_list_no_frames(pads: Pads) -> None:
         assert all(map(math.isnan, numbers(answer.misalignment)))
         assert not len(answer.sequences)
     assert not pads.received
-
-
-@pytest.mark.version
-def test_parameters_change_while_the_node_runs_all_or_none(pads: Pads, tmp_path: Path) -> None:
-    calibration, other, cut = (str(tmp_path / name) for name in ("pads.yaml", "other.npz", "cut.npz"))
-    TactileCalibration(rig=8).save(Path(calibration))
-    with np.load(MODEL_PATH) as file:
-        arrays = dict(file)
-    meta = json.loads(str(arrays["meta"])) | {"name": "pose-other"}
-    np.savez(other, **arrays | {"meta": np.array(json.dumps(meta))})
-    Path(cut).write_bytes(Path(other).read_bytes()[:5000])
-    pads.streaming = True
-    wait_until(lambda: pads.received, "an estimate at the initial rate")
-    assert pads.set(timeout=5.0).successful
-    before = pads.ask().misalignment.model
-    for values, noun in (
-        ({"calibration": calibration, "model": cut}, "model"),
-        ({"calibration": calibration, "rate": 500.0}, "rate"),
-        ({"frames": 3, "classifiers": [cut]}, "classifiers"),
-        ({"frames": 3, "max_age": 0.5}, "max_age"),
-    ):
-        result = pads.set(**values)
-        assert not result.successful
-        assert noun in result.reason
-    unchanged = pads.ask()
-    assert (unchanged.misalignment.model, len(unchanged.sequences)) == (before, 12)
-    assert pads.set(calibration=calibration, model=other, classifiers=["tree"], rate=0.0, frames=3).successful
-    changed = pads.ask()
-    assert (changed.misalignment.model, len(changed.sequences)) == ("pose-other+rig8+tree", 3)
-    assert pads.ask(model="svm").misalignment.model == "pose-other+rig8+svm"
-    pads.received.clear()
-    assert pads.ask(30).success
-    assert not pads.received, "five would have arrived at the old rate"
-    assert pads.set(rate=50.0).successful
-    wait_until(lambda: pads.received and pads.received[-1].model.startswith("pose-other"), "estimates at another rate")
 
 
 def test_a_closing_node_releases_its_requests(context: Any) -> None:

@@ -18,7 +18,6 @@ from deltacharger_vision.detector.detector import ElectrodeDetector, annotated
 from deltacharger_vision.detector.observed import Plane, Region, fit_plane
 from deltacharger_vision.errors import CameraInfoError
 from deltacharger_vision.images import Intrinsics, RgbdImage
-from deltacharger_vision.mount import Mount
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
 from deltacharger_vision.rendering.scene import Box, RenderedScene, shifted
 from deltacharger_vision.rendering.scene_drawing import draw_scene
@@ -160,13 +159,12 @@ def test_errors_match_the_covariance(count: int) -> None:
     [(0.2, 0.35, 3), rest(0.2, 0.35, 30), *(night(*each, 200) for each in ((0.18, 0.22), (0.22, 0.28), (0.28, 0.7)))],
 )
 def test_errors_of_the_lean_match_its_uncertainty(nearest: float, farthest: float, count: int) -> None:
-    mount, off = Mount(Mount.default().pose, np.zeros((6, 6))), []
+    off = []
     for found, pose, _ in looks(range(21_000, 21_000 + count), nearest, farthest):
         if found is None or found.source != "both":
             continue
-        lean, (x, y, z) = mount.place(found).lean(), mount.pose[:3, :3] @ pose[:3, 2]
-        yaw, pitch = lean.yaw - math.atan2(x, z), lean.pitch - math.atan2(-y, z)
-        off.append([yaw / lean.yaw_stddev, pitch / lean.pitch_stddev])
+        about, turned = pose[:3, :2].T, np.cross(-pose[:3, 2], found.normal)
+        off.append(about @ turned / np.sqrt(np.diag(about @ found.covariance[3:, 3:] @ about.T)))
     assert len(off) >= 0.75 * count
     assert np.abs(off).max() < 5.0
     if count >= 30:

@@ -33,8 +33,8 @@ from deltacharger_docking.press import CONTACT_TIMEOUT, check_depth, check_pads,
 from deltacharger_docking.release import take_off
 from deltacharger_docking.standoff import approach
 from deltacharger_docking.touch import ALIGNMENTS_MAX, measure, rolled_too_far
+from deltacharger_lab.training.labels import centres
 from deltacharger_tactile.classifiers import classifier
-from deltacharger_tactile.classifiers.labels import centres
 
 
 class PaperClasses:

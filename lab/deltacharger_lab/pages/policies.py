@@ -43,7 +43,7 @@ _EVERY_NODES = {
 _FLEET = "fleet"
 _WORKSHOP = "workshop"
 _ASKED = ("servo_node/get", "servo_node/list", "tactile_node/get", "tactile_node/list")
-_TUNED = ("docking_node", "mission_node", "misalignment_node", "electrode_detector_node")
+_TUNED = ("docking_node",)
 _ON_DEMAND = {  # by the workshop's commands and people
     *(Endpoint("calls", f"{each}_parameters", "") for each in _ASKED),
     *(Endpoint("calls", f"{each}/set_parameters{how}", "") for each in _TUNED for how in ("", "_atomically")),

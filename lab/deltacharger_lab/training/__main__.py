@@ -21,12 +21,12 @@ from deltacharger_docking.codes import DockingError
 from deltacharger_lab.campaigns.recording import Protocol, record_paper
 from deltacharger_lab.training.classifier import TrainableClassifier
 from deltacharger_lab.training.estimator import TrainablePoseEstimator
+from deltacharger_lab.training.inputs import NAMES
 from deltacharger_lab.training.judgement import AXES, evaluate_classifier, evaluate_pose
+from deltacharger_lab.training.labels import examples
 from deltacharger_lab.training.pose import fit_dataset
 from deltacharger_lab.training.splits import by_docking
 from deltacharger_sim.pads import generate_continuous, generate_paper
-from deltacharger_tactile.classifiers.classifier import NAMES
-from deltacharger_tactile.classifiers.labels import examples
 from deltacharger_tactile.dataset import Dataset
 from deltacharger_tactile.errors import TactileError
 from deltacharger_tactile.estimator import THRESHOLD

@@ -20,10 +20,13 @@ from numpy.typing import ArrayLike, NDArray
 from deltacharger_core.arrays import Array
 from deltacharger_core.machine import CONTACT_FORCE
 from deltacharger_lab.training import reliability
+from deltacharger_lab.training.inputs import NAMES, PRETRAINED, digest, inputs
 from deltacharger_lab.training.reliability import Reliability
 from deltacharger_lab.training.splits import distinct
-from deltacharger_tactile.classifiers import classifier, labels, runtime
-from deltacharger_tactile.classifiers.classifier import NAMES, PRETRAINED, Classifier, readings_of
+from deltacharger_tactile import features
+from deltacharger_tactile.classifiers import runtime
+from deltacharger_tactile.classifiers.classifier import Classifier, readings_of
+from deltacharger_tactile.classifiers.classifier import classes as classes_of
 from deltacharger_tactile.errors import DatasetError, ModelError
 
 Progress = Callable[[float, str], None]
@@ -61,6 +64,8 @@ class TrainableClassifier(Classifier):
         reliability: when an answer may be used; None before `calibrate`.
     """
 
+    names = tuple(NAMES)
+
     def __init__(self, name: str, target: str, threshold: float = CONTACT_FORCE) -> None:
         super().__init__(name, target, threshold)
         self.fit_time = float("nan")
@@ -85,7 +90,7 @@ class TrainableClassifier(Classifier):
             ModuleNotFoundError: the trainer's library is missing; `deltacharger[train]` has it.
         """
         known = np.asarray(classes, dtype=np.int64)
-        count = labels.classes(self.target)
+        count = classes_of(self.target)
         if not np.isin(known, np.arange(count)).all():
             raise ModelError(self.name, f"{self.target} has the classes 0 to {count - 1}")
         usable = np.bincount(known[distinct(readings_of(frames), self.threshold)], minlength=count)
@@ -181,13 +186,24 @@ class TrainableClassifier(Classifier):
         if self.reliability is not None:
             about["reliability"] = self.reliability.to_dict()
         if NAMES[self.name] == "pose":
-            about[PRETRAINED] = classifier.digest(self.target, self.threshold)
+            about[PRETRAINED] = digest(self.target, self.threshold)
         write(path, about, self._stored or self._arrays)
 
     def _restore(self, about: dict[str, Any], arrays: Arrays) -> None:
         known = about.pop("reliability", None)
         self.reliability = Reliability.from_dict(known) if known else None
+        if NAMES[self.name] == "pose" and about.pop(PRETRAINED, "") != digest(self.target, self.threshold):
+            raise ModelError(self.name, "it was trained on packaged models of another version; train it again")
         super()._restore(about, arrays)
+
+    def _inputs(self, frames: ArrayLike) -> Array:
+        """Return the model's inputs: (N, 200) N, (N, F) features, or features and pretrained inputs; NaN unknown."""
+        sees, readings = NAMES[self.name], readings_of(frames)
+        if sees == "taxels":
+            return super()._inputs(readings)
+        if sees == "features":
+            return features.extract(features.fill_dead(readings), self.threshold).values
+        return inputs(readings, self.target, self.threshold)
 
 
 def write(path: str | Path, about: dict[str, Any], arrays: Arrays) -> None:

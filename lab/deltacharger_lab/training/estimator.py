@@ -39,7 +39,6 @@ from deltacharger_tactile.estimator import (
     picture_inputs,
     pose_stddev,
     to_pose,
-    to_seat,
     within,
 )
 
@@ -295,3 +294,9 @@ def _arrays(prefix: str, network: Network) -> dict[str, Weights]:
     """Return weights and biases by the names that `Network.restore` expects."""
     named = {f"{prefix}_weight{layer}": weight for layer, weight in enumerate(network.weights)}
     return named | {f"{prefix}_bias{layer}": bias for layer, bias in enumerate(network.biases)}
+
+
+def to_seat(pose: Array) -> Array:
+    """Convert poses (N, 3) m, m, rad (horizontal, vertical, angle) to seats (N, 3): along, across, angle."""
+    x, y, angle = pose.T
+    return np.column_stack([x, y * np.cos(angle) - x * np.sin(angle), angle])

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array
+from deltacharger_lab.training import labels
 from deltacharger_lab.training.classifier import TrainableClassifier
 from deltacharger_lab.training.estimator import TrainablePoseEstimator
+from deltacharger_lab.training.labels import Examples
 from deltacharger_lab.training.reliability import NOMINAL, WINDOW
-from deltacharger_tactile.classifiers import labels
-from deltacharger_tactile.classifiers.labels import Examples
 from deltacharger_tactile.dataset import Dataset
 from deltacharger_tactile.errors import DatasetError
 

@@ -19,9 +19,10 @@ from pathlib import Path
 import numpy as np
 
 from deltacharger_lab.training.classifier import TrainableClassifier
+from deltacharger_lab.training.labels import Examples, examples
 from deltacharger_sim.pads import generate_paper
 from deltacharger_tactile.classifiers import classifier
-from deltacharger_tactile.classifiers.labels import TARGETS, Examples, examples
+from deltacharger_tactile.classifiers.classifier import TARGETS
 from deltacharger_tactile.dataset import Dataset
 from deltacharger_tactile.parameters import TactileParameters
 

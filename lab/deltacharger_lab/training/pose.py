@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array
 from deltacharger_core.machine import PADS
-from deltacharger_lab.training.estimator import TrainablePoseEstimator
+from deltacharger_lab.training.estimator import TrainablePoseEstimator, to_seat
 from deltacharger_sim.pads import Rig, measure
 from deltacharger_tactile import MODEL_PATHS
 from deltacharger_tactile.dataset import Dataset
 from deltacharger_tactile.errors import DatasetError
-from deltacharger_tactile.estimator import THRESHOLD, to_pose, to_seat
+from deltacharger_tactile.estimator import THRESHOLD, to_pose
 from deltacharger_tactile.parameters import (
     LARGEST_HOLE,
     PadDockingParameters,

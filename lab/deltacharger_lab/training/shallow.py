@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array
 from deltacharger_lab.training.classifier import Arrays, Labels, Learnt, Progress
+from deltacharger_lab.training.inputs import POSE
 from deltacharger_tactile import features
-from deltacharger_tactile.classifiers.classifier import POSE
 from deltacharger_tactile.classifiers.runtime import softmax
 
 

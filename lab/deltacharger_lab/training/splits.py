@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array
 from deltacharger_core.machine import COLUMNS, PADS, ROWS
-from deltacharger_tactile.classifiers.labels import Examples
+from deltacharger_lab.training.labels import Examples
 
 Rows = NDArray[np.int64]
 

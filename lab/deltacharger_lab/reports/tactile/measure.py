@@ -17,14 +17,14 @@ import numpy as np
 from deltacharger_core.arrays import Array, Mask
 from deltacharger_lab.reports.tactile import second
 from deltacharger_lab.reports.tactile.plan import SETS, TARGETS, TactilePlan, kind, threshold
-from deltacharger_lab.training import splits
+from deltacharger_lab.training import labels, splits
 from deltacharger_lab.training.classifier import TrainableClassifier
+from deltacharger_lab.training.inputs import NAMES
 from deltacharger_lab.training.judgement import evaluate_classifier
+from deltacharger_lab.training.labels import Examples
 from deltacharger_lab.training.reliability import WINDOW
 from deltacharger_sim.pads import Rig, generate_paper, measure
-from deltacharger_tactile.classifiers import labels
-from deltacharger_tactile.classifiers.classifier import NAMES, Classifier
-from deltacharger_tactile.classifiers.labels import Examples
+from deltacharger_tactile.classifiers.classifier import Classifier, classes
 from deltacharger_tactile.dataset import SUBSET_ANGLE, SUBSET_POSITION, Dataset
 from deltacharger_tactile.parameters import TactileParameters
 
@@ -217,7 +217,7 @@ def _diagram(model: Classifier, rows: Examples) -> dict[str, Any]:
     shares = model.predict_proba(rows.frames)
     winner, sure = shares.argmax(axis=1), shares.max(axis=1)
     bins = np.minimum((BINS * sure).astype(int), BINS - 1)
-    count = labels.classes(model.target)
+    count = classes(model.target)
     matrix = np.zeros((count, count), dtype=int)
     np.add.at(matrix, (rows.labels, winner), 1)
     return {
@@ -235,7 +235,7 @@ def predictions(plan: TactilePlan, kept: str) -> list[dict[str, Any]]:
     for target in TARGETS:
         frames = labels.examples(data, target).frames
         for name in plan.names:
-            model = Classifier.load(Path(kept) / f"{name}-{target}.npz")
+            model = TrainableClassifier.load(Path(kept) / f"{name}-{target}.npz")
             times = np.array(
                 [_timed(model.predict_proba, frames[index % len(frames)]) for index in range(plan.repeats + _WARM_UP)]
             )

@@ -8,7 +8,7 @@ from importlib.util import find_spec
 
 from deltacharger_core.machine import CONTACT_FORCE
 from deltacharger_lab.training.classifier import DEFAULT, TRAINERS
-from deltacharger_tactile.classifiers.classifier import NAMES
+from deltacharger_lab.training.inputs import NAMES
 from deltacharger_tactile.estimator import THRESHOLD
 
 TARGETS = ("angle", "vertical", "horizontal")

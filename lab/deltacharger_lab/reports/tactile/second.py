@@ -18,13 +18,14 @@ from deltacharger_lab.reports.formats import grouped
 from deltacharger_lab.reports.tactile.plan import TactilePlan
 from deltacharger_lab.second.generator import JUST_NOW, dock_anew
 from deltacharger_lab.second.parameters import SecondParameters
+from deltacharger_lab.training import labels
 from deltacharger_lab.training.classifier import TrainableClassifier
+from deltacharger_lab.training.estimator import to_seat
 from deltacharger_lab.training.judgement import evaluate_classifier
 from deltacharger_sim.pads import generate_continuous
 from deltacharger_tactile import default_model
-from deltacharger_tactile.classifiers import labels
 from deltacharger_tactile.dataset import Dataset
-from deltacharger_tactile.estimator import THRESHOLD, Estimate, to_seat
+from deltacharger_tactile.estimator import THRESHOLD, Estimate
 
 Row = dict[str, Any]
 Models = Mapping[tuple[str, str], TrainableClassifier]

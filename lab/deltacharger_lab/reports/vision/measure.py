@@ -113,9 +113,9 @@ def errors(found: Detection | None, pose: Array, real: bool = True) -> list[floa
 
 def _lean_errors(placed: Placed, target: Array) -> list[float]:
     """Return _LEANS for a terminal at (4, 4) `target` in charger_base."""
-    found, (x, y, z) = placed.lean(), target[:3, 2]
-    yaw, pitch = found.yaw - math.atan2(x, z), found.pitch - math.atan2(-y, z)
-    return [math.degrees(abs(yaw)), math.degrees(abs(pitch)), yaw / found.yaw_stddev, pitch / found.pitch_stddev]
+    (yaw, pitch, covariance), (x, y, z) = lean(placed), target[:3, 2]
+    off = yaw - math.atan2(x, z), pitch - math.atan2(-y, z)
+    return [*np.degrees(np.abs(off)).tolist(), *(off / np.sqrt(np.diag(covariance))).tolist()]
 
 
 def _off(found: Detection | Placed, pose: Array) -> tuple[Array, float]:
@@ -209,3 +209,21 @@ def one_thread() -> None:
     import cv2
 
     cv2.setNumThreads(1)
+
+
+def lean(placed: Placed) -> tuple[float, float, Array]:
+    """Return yaw and pitch (rad) of electrodes in charger_base and their first-order covariance; NaN if unknown."""
+    if not placed.upright:
+        return math.nan, math.nan, np.full((2, 2), math.nan)
+    x, _, z = placed.rotation().T
+    # dz = dω × z, and dωz follows the roll: dωz = d roll + x_z (x_x dωx + x_y dωy) / (x_x² + x_y²).
+    about_z = np.array([*(x[2] * x[:2] / (x[0] ** 2 + x[1] ** 2)), 1.0])
+    turning = np.vstack([np.eye(3)[:2], about_z])
+    moved = np.array([[0.0, z[2], -z[1]], [-z[2], 0.0, z[0]], [z[1], -z[0], 0.0]]) @ turning
+    slope = np.stack(
+        [
+            (z[2] * moved[0] - z[0] * moved[2]) / (z[0] ** 2 + z[2] ** 2),
+            (z[1] * moved[2] - z[2] * moved[1]) / (z[1] ** 2 + z[2] ** 2),
+        ]
+    )
+    return math.atan2(z[0], z[2]), math.atan2(-z[1], z[2]), slope @ placed.covariance[3:, 3:] @ slope.T

@@ -13,7 +13,6 @@ from deltacharger_core.arrays import Array
 from deltacharger_tactile.dataset import ANGLE_CLASSES, POSITION_CLASSES, SUBSET_ANGLE, SUBSET_POSITION, Dataset
 from deltacharger_tactile.errors import DatasetError
 
-TARGETS = ("angle", "vertical", "horizontal")
 _ANGLE_STEP = np.radians(1.0)
 
 
@@ -43,11 +42,6 @@ class Examples:
     def part(self, rows: NDArray[Any]) -> Examples:
         """Return the given rows (indices or mask)."""
         return Examples(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
-
-
-def classes(target: str) -> int:
-    """Return the number of classes of a target."""
-    return ANGLE_CLASSES if target == "angle" else len(POSITION_CLASSES)
 
 
 def centres(target: str) -> Array:
