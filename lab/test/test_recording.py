@@ -19,7 +19,8 @@ from deltacharger_lab.campaigns import recording
 from deltacharger_lab.campaigns.recording import Protocol, record_paper, record_part
 from deltacharger_lab.training import __main__ as training
 from deltacharger_lab.training.labels import examples
-from deltacharger_tactile.classifiers.classifier import TARGETS, examples
+from deltacharger_sim.pads import generate_continuous
+from deltacharger_tactile.classifiers.classifier import TARGETS
 from deltacharger_tactile.dataset import SUBSET_ANGLE, Dataset
 
 SMALL = Protocol(rig=880, seed=4, repeat=(6, 1))
