@@ -13,7 +13,7 @@ from typing import Literal
 
 from deltacharger_core.machine import BAUD_RATE, SERVO_IDS
 from deltacharger_core.servo_types import SPEEDS, model_name
-from deltacharger_driver.board.protocol import POWER_RATE, Hello, PacketError, PacketType, decode_hello
+from deltacharger_driver.board.protocol import POWER_RATE, PacketType
 from deltacharger_driver.packets import (
     BROADCAST,
     HEADER,
@@ -75,16 +75,12 @@ class PortIdentity:
         kind: "servos", "board", "silent" (no answer) or "other" (bytes that neither of them sends).
         details: description in words.
         servos: those that answered.
-        hello: the board's HELLO; None if there is no board or no valid HELLO.
-        version: protocol version of the board; 0 if there is no board.
     """
 
     port: str
     kind: Literal["servos", "board", "silent", "other"]
     details: str
     servos: tuple[FoundServo, ...] = ()
-    hello: Hello | None = None
-    version: int = 0
 
 
 def identify(
@@ -107,9 +103,11 @@ def identify(
     """
     port = RawPort(path, BAUD_RATE)
     try:
-        board, received = _find_board(port)
-        if board is not None:
-            return board
+        decoder = PacketDecoder()
+        decoder.feed(_receive(port, _LISTEN) + _exchange(port, encode_packet(Packet(PacketType.HELLO)), _HELLO_WAIT))
+        received = decoder.counters.bytes
+        if decoder.counters.packets or decoder.counters.version_errors:
+            return PortIdentity(path, "board", "the board")
         servos = find_servos(port, speeds, ids, patience)
     finally:
         port.close()
@@ -118,29 +116,6 @@ def identify(
     if received:
         return PortIdentity(path, "other", f"received {received} bytes that neither servos nor board send")
     return PortIdentity(path, "silent", "no answer at any speed")
-
-
-def _find_board(port: RawPort) -> tuple[PortIdentity | None, int]:
-    """Return the board, if there is one, and the number of bytes received."""
-    decoder = PacketDecoder()
-    received = _receive(port, _LISTEN)
-    packets = decoder.feed(received + _exchange(port, encode_packet(Packet(PacketType.HELLO)), _HELLO_WAIT))
-    counters = decoder.counters
-    for packet in packets:
-        if packet.type == PacketType.HELLO:
-            try:
-                hello = decode_hello(packet.payload)
-            except PacketError:
-                continue
-            text = f"board, version {hello.major}.{hello.minor}, {hello.rows} x {hello.columns} taxels per pad"
-            return PortIdentity(port.port, "board", text, hello=hello, version=hello.major), counters.bytes
-    if packets:
-        text = "board, but it does not answer HELLO"
-        return PortIdentity(port.port, "board", text, version=1), counters.bytes
-    if counters.refused_version is not None:
-        text = f"board with protocol version {counters.refused_version}"
-        return PortIdentity(port.port, "board", text, version=counters.refused_version), counters.bytes
-    return None, counters.bytes
 
 
 def _receive(port: RawPort, duration: float) -> bytes:

@@ -138,6 +138,17 @@ class RawPort:
         """
         try:
             self._serial.baudrate = baud_rate
+        except HANG_UPS as error:
+            raise PortGone(self.port, str(error)) from error
+        self.flush()
+
+    def flush(self) -> None:
+        """Discard unread bytes.
+
+        Raises:
+            PortGone: the port vanished.
+        """
+        try:
             self._serial.reset_input_buffer()
         except HANG_UPS as error:
             raise PortGone(self.port, str(error)) from error

@@ -16,7 +16,7 @@ from deltacharger_core import runtime
 from deltacharger_driver.board.contactor import ContactorGuard
 from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.board.protocol import PowerSample, TactileSample
-from deltacharger_driver.errors import DriverError, NoServosBehindBoard, PortError, PortGone
+from deltacharger_driver.errors import DriverError, NoServosBehindBoard, PortError
 from deltacharger_driver.ports import PseudoTerminal
 
 _log = logging.getLogger(__name__)
@@ -186,7 +186,6 @@ class BoardKeeper:
             on_tactile=self._take_tactile,
             on_power=self._take_power,
             on_boot=self._take_boot,
-            on_gone=self._take_gone,
             on_servo=self._take_servo,
         )
         self.servos = PassThrough(self.link, servo_port)
@@ -276,8 +275,4 @@ class BoardKeeper:
     def _take_boot(self) -> None:
         self.guard.interrupted()
         self._rebooted = True
-        self._wake.set()
-
-    def _take_gone(self, error: PortGone) -> None:
-        self.guard.interrupted()
         self._wake.set()

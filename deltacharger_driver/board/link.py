@@ -160,7 +160,6 @@ class BoardLink:
         on_power: called in the reader's thread with every `PowerSample`.
         on_boot: called in the reader's thread when the board has rebooted: it does not stream, is not tared, and its
             contactor is open. Must not wait for a command.
-        on_gone: called once, in any thread, when the port has vanished.
         on_servo: called in the reader's thread with bytes from the servos' bus, if it is connected to the board.
     """
 
@@ -170,12 +169,10 @@ class BoardLink:
         on_tactile: Callable[[TactileSample], None] | None = None,
         on_power: Callable[[PowerSample], None] | None = None,
         on_boot: Callable[[], None] | None = None,
-        on_gone: Callable[[PortGone], None] | None = None,
         on_servo: Callable[[bytes], None] | None = None,
     ) -> None:
         self.port = port
         self._on_boot = on_boot
-        self._on_gone = on_gone
         self._decoder = PacketDecoder()
         self._requests = BoardRequests()
         self._receiver = BoardReceiver(self._requests, on_tactile, on_power, self._rebooted, on_servo)
@@ -463,8 +460,6 @@ class BoardLink:
             self.gone = error
         self.stop_heartbeat()
         self._requests.fail(error)
-        if self._on_gone is not None:
-            self._on_gone(error)
 
     def _rebooted(self) -> None:
         self.stop_heartbeat()
@@ -479,6 +474,6 @@ class BoardLink:
                 data = port.read(0.5)
                 received = time.monotonic()
                 for packet in self._decoder.feed(data):
-                    self._receiver.take(packet, received)
+                    self._receiver.take_packet(packet, received)
         except PortGone as error:
             self._vanish(error)

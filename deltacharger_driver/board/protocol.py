@@ -125,18 +125,13 @@ class PacketError(DriverError, ValueError):
 
 def type_name(type: int) -> str:
     """Return the name of a packet type; works for unknown numbers too."""
-    try:
-        return PacketType(type).name
-    except ValueError:
-        return f"type {type}"
+    return next((each.name for each in PacketType if each == type), f"type {type}")
 
 
 def fault_name(fault: int) -> str:
     """Return a fault in words; works for unknown numbers too."""
-    try:
-        return BoardFault(fault).name.lower().replace("_", " ")
-    except ValueError:
-        return f"fault {fault}"
+    name = next((each.name for each in BoardFault if each == fault), f"fault {fault}")
+    return name.lower().replace("_", " ")
 
 
 def clearing(fault: int) -> str:
@@ -162,7 +157,7 @@ def check_header(packet: Packet) -> None:
         raise PacketError(packet.type, f"flags {packet.flags:#04x} are invalid for this type")
 
 
-_EXPLANATIONS = {
+_EXPLANATIONS: dict[int, str] = {
     AckError.BAD_PAYLOAD: "invalid value",
     AckError.UNKNOWN: "unknown command; update the board's firmware",
     AckError.INTERLOCK: (
@@ -187,10 +182,7 @@ class CommandRefused(DriverError, RuntimeError):
         self.type = type
         self.error = error
         self.attempts = attempts
-        try:
-            reason = _EXPLANATIONS.get(AckError(error), f"error {error}")
-        except ValueError:
-            reason = f"error {error}"
+        reason = _EXPLANATIONS.get(error, f"error {error}")
         super().__init__(f"the board refused {type_name(type)}: {advice or reason}")
 
 

@@ -231,17 +231,15 @@ class BoardReceiver:
             duplicates=self._tactile_sequence.duplicates + self._power_sequence.duplicates,
         )
 
-    def take(self, packet: Packet, received: float) -> None:
+    def take_packet(self, packet: Packet, received: float) -> None:
         """Interpret one packet that arrived at `received` (s, monotonic)."""
-        try:
-            decode, handler = _HANDLERS[packet.type]
-        except KeyError:
+        if packet.type not in _DECODERS:
             self.counters.unknown_types += 1
             _log.debug("dropped a packet of type %d", packet.type)
             return
         try:
             check_header(packet)
-            value = decode(packet)
+            value = _DECODERS[packet.type](packet.payload)
         except PacketError as error:
             self.counters.bad_payloads += 1
             _log.debug("dropped: %s", error)
@@ -254,7 +252,19 @@ class BoardReceiver:
             self._reboot()
         self._latest_device_time = max(self._latest_device_time, device_time)
         when = self._device_clock.update(device_time, received)
-        handler(self, packet, value, when, received)
+        if packet.type == PacketType.TACTILE:
+            self._take_tactile(packet, value, when)
+        elif isinstance(value, Power) and self._power_sequence.update(packet.sequence) is not None:
+            self.counters.power += 1
+            self._call(self._on_power, PowerSample(when, value))
+        elif isinstance(value, Hello):
+            self.hello = value
+        elif isinstance(value, Ack):
+            self._requests.acknowledge(value, received)
+        elif packet.type == PacketType.PING:
+            self._requests.ping_returned(value, received)
+        elif packet.type == PacketType.SERVO:
+            self._call(self._on_servo, value)
 
     def _notice_boot_id(self, hello: Hello, device_time: float) -> None:
         known, self._boot_id = self._boot_id, hello.boot_id
@@ -272,7 +282,7 @@ class BoardReceiver:
         self._requests.rebooted()
         self._call(self._on_boot)
 
-    def _take_tactile(self, packet: Packet, pads: Taxels, when: float, received: float) -> None:
+    def _take_tactile(self, packet: Packet, pads: Taxels, when: float) -> None:
         sequence = self._tactile_sequence.update(packet.sequence)
         if sequence is None:
             return
@@ -280,24 +290,6 @@ class BoardReceiver:
         tared, overrun = bool(packet.flags & FLAG_TARED), bool(packet.flags & FLAG_OVERRUN)
         sample = TactileSample(when, sequence, packet.device_time_us, pads, tared, overrun)
         self._call(self._on_tactile, sample)
-
-    def _take_power(self, packet: Packet, power: Power, when: float, received: float) -> None:
-        if self._power_sequence.update(packet.sequence) is None:
-            return
-        self.counters.power += 1
-        self._call(self._on_power, PowerSample(when, power))
-
-    def _take_hello(self, packet: Packet, hello: Hello, when: float, received: float) -> None:
-        self.hello = hello
-
-    def _take_ack(self, packet: Packet, ack: Ack, when: float, received: float) -> None:
-        self._requests.acknowledge(ack, received)
-
-    def _take_ping(self, packet: Packet, data: bytes, when: float, received: float) -> None:
-        self._requests.ping_returned(data, received)
-
-    def _take_servo(self, packet: Packet, data: bytes, when: float, received: float) -> None:
-        self._call(self._on_servo, data)
 
     def _call(self, callback: Callable[..., None] | None, *arguments: object) -> None:
         """Run a callback; a failure must not end the link, so it is counted and logged once."""
@@ -311,12 +303,12 @@ class BoardReceiver:
                 _log.exception("a callback of the board link failed; further failures are only counted")
 
 
-_HANDLERS: dict[int, tuple[Callable[[Packet], Any], Callable[[BoardReceiver, Packet, Any, float, float], None]]] = {
-    PacketType.TACTILE: (lambda p: decode_samples(p.payload), BoardReceiver._take_tactile),
-    PacketType.POWER: (lambda p: decode_power(p.payload), BoardReceiver._take_power),
-    PacketType.HELLO: (lambda p: decode_hello(p.payload), BoardReceiver._take_hello),
-    PacketType.ACK: (lambda p: decode_ack(p.payload), BoardReceiver._take_ack),
-    PacketType.PING: (lambda p: decode_ping(p.payload), BoardReceiver._take_ping),
-    PacketType.SERVO: (lambda p: decode_servo(p.payload), BoardReceiver._take_servo),
+_DECODERS: dict[int, Callable[[bytes], Any]] = {
+    PacketType.TACTILE: decode_samples,
+    PacketType.POWER: decode_power,
+    PacketType.HELLO: decode_hello,
+    PacketType.ACK: decode_ack,
+    PacketType.PING: decode_ping,
+    PacketType.SERVO: decode_servo,
 }
-"""Decoder and handler per packet type. A packet is decoded completely before it changes clock or counters."""
+"""Decoder per packet type. A packet is decoded completely before it changes clock or counters."""

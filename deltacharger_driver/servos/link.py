@@ -7,16 +7,11 @@ survive an unplugged cable, stuff what they send and check every reply. docs/ser
 
 from __future__ import annotations
 
-import contextlib
-import os
-import select
-import termios
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import serial
 from dynamixel_sdk.port_handler import PortHandler
 from dynamixel_sdk.protocol2_packet_handler import Protocol2PacketHandler
 from dynamixel_sdk.robotis_def import COMM_RX_TIMEOUT, COMM_SUCCESS, INST_PING, INST_READ, INST_WRITE
@@ -26,7 +21,7 @@ from deltacharger_core.servo_types import SPEEDS
 from deltacharger_driver.errors import CorruptReply, DriverError, NoAnswer, PortGone, ServoFault
 from deltacharger_driver.packets import HEADER, PLAIN, STATUS, crc16, instruction_packet, sync_read_packet
 from deltacharger_driver.parameters import REPLY_MARGIN, STALL_MARGIN
-from deltacharger_driver.ports import HANG_UPS, USB_LATENCY, latency_timer, open_serial
+from deltacharger_driver.ports import USB_LATENCY, RawPort, latency_timer
 from deltacharger_driver.servos.registers import ALERT, REGISTERS, describe_status_error
 
 PATIENCE = 0.1
@@ -55,12 +50,10 @@ class ServoPort(PortHandler):  # type: ignore[misc]
     def __init__(self, port: str, baud_rate: int = BAUD_RATE) -> None:
         super().__init__(port)
         self.is_open: bool = False
-        self.ser: serial.Serial | None = None
         self.baudrate = baud_rate
         self.latency = USB_LATENCY
         self.margin = PATIENCE
-        self._descriptor = -1
-        self._poller = select.poll()
+        self._raw: RawPort | None = None
         self._buffer = bytearray()
 
     def setupPort(self, cflag_baud: int) -> bool:  # noqa: N802
@@ -70,31 +63,32 @@ class ServoPort(PortHandler):  # type: ignore[misc]
             PortMissing, PortNotSerial, PortBusy, PortDenied, PortError: it cannot be opened.
             PortGone: it was open and vanished.
         """
-        if self.ser is not None and self.is_open:
-            try:
-                self.ser.baudrate = cflag_baud
-            except HANG_UPS as error:
-                raise self._gone(error) from error
+        if self._raw is not None:
+            self._raw.set_speed(cflag_baud)
         else:
-            self.ser = open_serial(str(self.port_name), cflag_baud)
-            self._descriptor = self.ser.fileno()
-            self._poller = select.poll()
-            self._poller.register(self._descriptor, select.POLLIN)
+            self._raw = self.open_raw(str(self.port_name), cflag_baud)
             self.latency = latency_timer(self.port_name)
             self.is_open = True
-        self.is_using = False
         self.tx_time_per_byte = 10_000.0 / cflag_baud
         self.clearPort()
         return True
 
+    def open_raw(self, path: str, baud_rate: int) -> RawPort:
+        """Open the bytes of a port."""
+        return RawPort(path, baud_rate)
+
     def closePort(self) -> None:  # noqa: N802
         """Release the port. Never raises."""
-        if self.ser is not None:
-            with contextlib.suppress(*HANG_UPS):
-                self.ser.close()
-        self._descriptor = -1
+        if self._raw is not None:
+            self._raw.close()
+        self._raw = None
         self._buffer.clear()
-        self.is_open = self.is_using = False
+        self.is_open = False
+
+    def _bytes(self) -> RawPort:
+        if self._raw is None:
+            raise PortGone(str(self.port_name), "it is closed")
+        return self._raw
 
     def clearPort(self) -> None:  # noqa: N802
         """Discard received bytes.
@@ -103,10 +97,7 @@ class ServoPort(PortHandler):  # type: ignore[misc]
             PortGone: the port vanished.
         """
         self._buffer.clear()
-        try:
-            termios.tcflush(self._descriptor, termios.TCIFLUSH)
-        except HANG_UPS as error:
-            raise self._gone(error) from error
+        self._bytes().flush()
 
     @property
     def reply_timeout(self) -> float:
@@ -136,17 +127,13 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         return data
 
     def writePort(self, packet: Sequence[int]) -> int:  # noqa: N802
-        """Send `packet` and return the number of bytes that the kernel accepted.
+        """Send `packet` and return its length.
 
         Raises:
-            PortGone: the port vanished.
+            PortGone: the port vanished or accepts no bytes.
         """
-        try:
-            return os.write(self._descriptor, bytes(packet))
-        except BlockingIOError:
-            return 0
-        except HANG_UPS as error:
-            raise self._gone(error) from error
+        self._bytes().write(bytes(packet))
+        return len(packet)
 
     def received(self) -> bytes | bytearray:
         """Return the received bytes not yet taken; if there are none, wait like `readPort`.
@@ -180,23 +167,9 @@ class ServoPort(PortHandler):  # type: ignore[misc]
 
     def _wait(self, timeout: float) -> bool:
         """Wait at most `timeout` s for bytes and buffer them; return whether any arrived."""
-        try:
-            if not self._poller.poll(max(timeout, 0.0) * 1e3):
-                return False
-            data = os.read(self._descriptor, 4096)
-        except BlockingIOError:
-            return False
-        except HANG_UPS as error:
-            raise self._gone(error) from error
-        if not data:
-            raise self._gone("end of file")
+        data = self._bytes().read(max(timeout, 0.0))
         self._buffer += data
-        return True
-
-    def _gone(self, reason: object) -> PortGone:
-        self.is_using = False
-        self._buffer.clear()
-        return PortGone(str(self.port_name), str(reason))
+        return bool(data)
 
 
 @dataclass
@@ -249,8 +222,7 @@ class ServoProtocol(Protocol2PacketHandler):  # type: ignore[misc]
             self._suspect = False
             port.drain()
         port.clearPort()
-        if port.writePort(packets) != len(packets):
-            raise PortGone(str(port.port_name), "it accepts no more bytes")
+        port.writePort(packets)
 
     def rxPacket(self, port: ServoPort) -> tuple[Sequence[int], int]:  # noqa: N802
         """Receive one packet from any servo, and count errors."""

@@ -47,14 +47,12 @@ class Rig:
         self.frames: list[TactileSample] = []
         self.powers: list[PowerSample] = []
         self.boots: list[float] = []
-        self.losses: list[PortGone] = []
         self.cable = PseudoTerminal(self.board, directory / "board").start()
         self.link = BoardLink(
             self.cable.path,
             on_tactile=self.frames.append,
             on_power=self.powers.append,
             on_boot=lambda: self.boots.append(time.monotonic()),
-            on_gone=self.losses.append,
         )
 
     def stop(self) -> None:
@@ -131,7 +129,7 @@ def test_a_board_that_boots_while_its_port_opens_dates_no_frame_back(announced: 
     def exchange(now: float, *commands: PacketType) -> None:
         sent = b"".join(encode_packet(Packet(command)) for command in commands)
         for packet in decoder.feed(board.receive(sent, now)):
-            receiver.take(packet, now)
+            receiver.take_packet(packet, now)
 
     board.poll(10.0)  # the port is not open yet
     exchange(10.06)
@@ -155,7 +153,7 @@ def test_a_reboot_with_a_lost_hello_is_detected_by_the_clock() -> None:
             board.faults.inject("drop", 1, PacketType.HELLO)
             board.reboot()
         for packet in decoder.feed(board.poll(10.0 + 0.01 * tick)):
-            receiver.take(packet, 10.0 + 0.01 * tick)
+            receiver.take_packet(packet, 10.0 + 0.01 * tick)
     assert (receiver.counters.reboots, boots) == (1, [True])
 
 
@@ -177,7 +175,7 @@ def test_a_reboot_and_an_unplugging_end_every_command_and_replugging_recovers(ri
         probe_until(rig, rig.board.reboot)
     with pytest.raises(PortGone):
         probe_until(rig, rig.cable.stop)
-    assert len(rig.losses) == 1
+    assert rig.link.gone is not None
     with pytest.raises(PortGone):
         link.start()
     link.close()

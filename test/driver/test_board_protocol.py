@@ -192,11 +192,11 @@ def test_an_impossible_packet_is_only_counted() -> None:
     powers, boots = [], []
     receiver = BoardReceiver(BoardRequests(), None, powers.append, lambda: boots.append(True))
     hello = protocol.encode_hello(Hello(1, 0, 10, 10, 7, 120.0))
-    receiver.take(Packet(PacketType.HELLO, hello, 0, 5_000_000), 100.0)
+    receiver.take_packet(Packet(PacketType.HELLO, hello, 0, 5_000_000), 100.0)
     for packet in bad_packets(0) + bad_packets(2**63):  # a clock that fell, which is a reboot, and one far ahead
-        receiver.take(packet, 100.0)
+        receiver.take_packet(packet, 100.0)
     assert receiver.snapshot().bad_payloads == 10
     assert (powers, boots, receiver.snapshot().reboots) == ([], [], 0)
-    receiver.take(Packet(PacketType.POWER, POWER, 0, 5_100_000), 100.1)
+    receiver.take_packet(Packet(PacketType.POWER, POWER, 0, 5_100_000), 100.1)
     assert powers[0].time == pytest.approx(100.1)
     assert receiver.snapshot().lost_power == 0

@@ -67,7 +67,7 @@ class Charger:
         for _ in range(round(seconds / STEP)):
             self.bench.beating = self.bench.now < self.until
             for packet in self.bench.run(STEP):
-                self._receiver.take(packet, self.bench.now)
+                self._receiver.take_packet(packet, self.bench.now)
             if self.guard.remaining() <= 0.0:
                 self.guard.tick()
 

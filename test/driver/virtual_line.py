@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from deltacharger_driver.errors import PortGone, PortMissing
 from deltacharger_driver.ports import ByteDevice
@@ -76,28 +76,11 @@ class LinePort(ServoPort):
 
     line: ClassVar[Line]
 
-    def setupPort(self, cflag_baud: int) -> bool:
+    def open_raw(self, path: str, baud_rate: int) -> Any:
         if not self.line.is_plugged:
-            raise PortMissing(self.port_name)
-        self.line.baud_rate = cflag_baud
-        self.is_open, self.is_using = True, False
-        self.tx_time_per_byte = 10_000.0 / cflag_baud
-        self.clearPort()
-        return True
-
-    def closePort(self) -> None:
-        self._buffer.clear()
-        self.is_open = self.is_using = False
-
-    def clearPort(self) -> None:
-        self._collect()
-        self._buffer.clear()
-
-    def writePort(self, packet: object) -> int:
-        self._collect()
-        data = bytes(packet)  # type: ignore[call-overload]
-        self.line.arrived = self.line.device.receive(data, self.now())
-        return len(data)
+            raise PortMissing(path)
+        self.line.baud_rate = baud_rate
+        return LineBytes(self.line)
 
     def now(self) -> float:
         return self.line.clock.now
@@ -105,17 +88,29 @@ class LinePort(ServoPort):
     def sleep(self, seconds: float) -> None:
         self.line.clock.sleep(seconds)
 
-    def _wait(self, timeout: float) -> bool:
-        before = len(self._buffer)
-        self.line.advance(max(timeout, 1e-6), until_bytes=True)
-        self._collect()
-        return len(self._buffer) > before
 
-    def _collect(self) -> None:
-        """Buffer what arrived."""
-        if not self.line.is_plugged:
-            self.is_using = False
-            self._buffer.clear()
-            raise PortGone(self.port_name)
-        self._buffer += self.line.arrived
-        self.line.arrived = b""
+class LineBytes:
+    """A `Line` with the methods of a `RawPort`."""
+
+    def __init__(self, line: Line) -> None:
+        self._line = line
+
+    def set_speed(self, baud_rate: int) -> None:
+        self._line.baud_rate = baud_rate
+
+    def flush(self) -> None:
+        if not self._line.is_plugged:
+            raise PortGone(self._line.path)
+        self._line.arrived = b""
+
+    def read(self, timeout: float) -> bytes:
+        self._line.advance(max(timeout, 1e-6), until_bytes=True)
+        data = self._line.arrived
+        self.flush()
+        return data
+
+    def write(self, data: bytes) -> None:
+        self._line.arrived = self._line.device.receive(data, self._line.clock.now)
+
+    def close(self) -> None:
+        pass
