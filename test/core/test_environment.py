@@ -26,9 +26,7 @@ def nothing_is_set(monkeypatch: pytest.MonkeyPatch) -> None:
     [
         ({RANGE: ""}, "every computer of this network"),
         ({RANGE: "SUBNET", "ROS_STATIC_PEERS": "10.0.0.7"}, "every computer of this network and to 10.0.0.7"),
-        ({RANGE: "LOCALHOTS"}, "every program on this computer"),
         ({"ROS_LOCALHOST_ONLY": "1", "ROS_STATIC_PEERS": "10.0.0.7"}, "every program on this computer"),
-        ({RANGE: "OFF"}, "this process alone"),
         ({RANGE: "SYSTEM_DEFAULT", "ROS_STATIC_PEERS": "10.0.0.7"}, "programs that the middleware's profile admits"),
         (ENFORCED, "only nodes with a key of this keystore"),
         ({**ENFORCED, "ROS_SECURITY_STRATEGY": "Permissive"}, "every computer of this network"),

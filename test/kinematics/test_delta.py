@@ -57,16 +57,6 @@ def test_published_angles_and_currents() -> None:
     assert np.allclose(DELTA.torque(DOCK, (0.0, 0.0, 20.0)) / TORQUE_CONSTANT, 0.521, atol=5e-4)
 
 
-def test_the_jacobian_is_the_derivative_of_forward_kinematics() -> None:
-    points = workspace_points(200)
-    angles = DELTA.inverse(points).angles
-    step = 1e-6
-    for joint in range(3):
-        shift = step * np.eye(3)[joint]
-        slope = (DELTA.forward(angles + shift).position - DELTA.forward(angles - shift).position) / (2 * step)
-        assert np.allclose(DELTA.jacobian(points).matrix[..., joint], slope, atol=1e-9)
-
-
 def test_torque_does_the_work_of_the_force() -> None:
     points = workspace_points(100)
     force = np.random.default_rng(2).normal(size=(100, 3))

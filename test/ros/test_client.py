@@ -228,7 +228,6 @@ def test_a_goal_is_cancelled_although_its_acceptance_was_lost(answering: Answeri
     ("end", "voltage", "told"),
     [
         ("full", 29.38, "full at 29.4 V; contact"),
-        ("", 26.0, "500 J at 26.0 V; contact"),
         ("stop_after", math.nan, "500 J, stop_after; contact"),
     ],
 )
@@ -242,7 +241,6 @@ def test_figures_tell_what_ended_charging_and_the_voltage(end: str, voltage: flo
     ("code", "end", "is_lost"),
     [
         (Code.NO_CONTACT, "NO_CONTACT", True),
-        (Code.NO_CONTACT, "", False),
         (Code.STUCK, "full", False),
         (Code.CANCELED, "CANCELED", False),
         (Code.NONE, "", False),

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 import rclpy
 from deltacharger.action import Dock
-from rclpy.action import ActionClient, ActionServer
+from rclpy.action import ActionClient
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.node import Node
 from std_srvs.srv import Trigger
@@ -64,12 +64,6 @@ class Slow:
         self.begun.release()
         self.release.wait(DEADLINE)
         return response
-
-    def execute(self, handle: Any) -> Dock.Result:
-        self.begun.release()
-        self.release.wait(DEADLINE)
-        handle.succeed()
-        return Dock.Result(success=True)
 
     def wait_for(self, count: int) -> None:
         assert all(self.begun.acquire(timeout=DEADLINE) for _ in range(count))
@@ -155,19 +149,6 @@ def test_only_a_request_that_surely_is_old_has_an_age(ago: float, seconds: float
     sent = 0 if math.isinf(ago) else time.time_ns() - round(1e9 * ago)
     with serving(SimpleNamespace(source_timestamp=sent)):
         assert order_age() == pytest.approx(seconds, abs=host(0.1))
-
-
-@pytest.mark.version
-def test_goals_wait_concurrently_and_are_answered(node: Node, serve: Serve, slow: Slow) -> None:
-    server: Any = ActionServer(node, Dock, "dock", slow.execute, callback_group=ReentrantCallbackGroup())
-    client: Any = ActionClient(node, Dock, "dock")
-    spinner = serve(client, server)
-    assert client.wait_for_server(DEADLINE)
-    sent = [answer(spinner.call_soon(client.send_goal_async, Dock.Goal())) for _ in range(2)]
-    slow.wait_for(2)
-    results = [answer(each).get_result_async() for each in sent]
-    slow.release.set()
-    assert all(answer(each).result.success for each in results)
 
 
 @pytest.mark.version

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 import threading
-import weakref
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -96,16 +95,6 @@ def test_a_wrong_parameter_stops_the_node_with_its_name(
 
     with pytest.raises(StartupError, match=message):
         Subject()
-
-
-def test_a_node_that_fails_after_its_parameters_is_freed_at_once(context: Any, namespace: str) -> None:
-    """Otherwise the incomplete node would be closed with the context."""
-    node = Node("subject", **options(context, namespace))
-    declare_all(node, Rates)
-    reject_unknown(node)
-    left = weakref.ref(node)
-    del node
-    assert left() is None
 
 
 @dataclass(frozen=True)
