@@ -26,19 +26,13 @@ from numpy.typing import NDArray
 from deltacharger_core.arrays import Array, Mask
 from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, FRAME_RATE, PADS, ROWS
 from deltacharger_tactile.contact import ContactModel, Waviness
-from deltacharger_tactile.dataset import (
+from deltacharger_tactile.dataset import SUBSET_ANGLE, SUBSET_CONTINUOUS, SUBSET_POSITION, VERSION, Dataset
+from deltacharger_tactile.errors import DatasetError
+from deltacharger_tactile.parameters import (
     ANGLE_CLASSES,
     ANGLE_LIMIT,
     POSITION_CLASSES,
     POSITION_LIMIT,
-    SUBSET_ANGLE,
-    SUBSET_CONTINUOUS,
-    SUBSET_POSITION,
-    VERSION,
-    Dataset,
-)
-from deltacharger_tactile.errors import DatasetError
-from deltacharger_tactile.parameters import (
     SHAPE,
     PadContactParameters,
     PadDockingParameters,

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,12 +17,6 @@ from deltacharger_core.texts import IN_TOUCH, outside
 from deltacharger_tactile.errors import DatasetError
 
 SUBSET_CONTINUOUS, SUBSET_ANGLE, SUBSET_POSITION = -1, 0, 1
-ANGLE_CLASSES = 6
-POSITION_CLASSES = (-0.010, -0.005, 0.0, 0.005, 0.010)
-POSITION_LIMIT = 0.012
-"""Largest |x| and |y| of the continuous protocol, m."""
-ANGLE_LIMIT = math.radians(20.0)
-"""Largest |angle| of the continuous protocol, rad."""
 VERSION = 1
 
 

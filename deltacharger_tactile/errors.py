@@ -3,9 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-from deltacharger_core.texts import Picklable, cut
+from deltacharger_core.texts import Picklable
 
 
 class TactileError(Picklable):
@@ -38,19 +36,6 @@ class ModelError(TactileError, ValueError):
         self.path = path
         self.reason = reason
         super().__init__(f"{path}: not a usable tactile model: {reason}; train one or use the packaged model")
-
-
-class UnknownModelError(TactileError, LookupError):
-    """No packaged model has this name. Example: a path instead of a name.
-
-    Args:
-        name: requested name.
-        known: available names.
-    """
-
-    def __init__(self, name: str, known: Sequence[str]) -> None:
-        self.name = name
-        super().__init__(f"there is no packaged model {cut(name, 40)!r}; known are {', '.join(known)}")
 
 
 class _SourcedError(TactileError, ValueError):

@@ -27,8 +27,8 @@ from numpy.typing import ArrayLike, NDArray
 from deltacharger_core.arrays import LARGEST_MODEL, Array, Mask, NpzError, read_npz
 from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, ROWS
 from deltacharger_tactile import features
-from deltacharger_tactile.dataset import ANGLE_CLASSES, ANGLE_LIMIT, POSITION_CLASSES, POSITION_LIMIT
 from deltacharger_tactile.errors import ModelError
+from deltacharger_tactile.parameters import ANGLE_CLASSES, ANGLE_LIMIT, POSITION_CLASSES, POSITION_LIMIT
 
 
 @dataclass(frozen=True)

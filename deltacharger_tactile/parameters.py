@@ -31,6 +31,12 @@ FRAMES = 12
 """Tactile frames averaged if a request states 0: a tenth of a second."""
 FRAMES_MAX = 240
 """Most tactile frames averaged in one estimate: two seconds."""
+ANGLE_CLASSES = 6
+POSITION_CLASSES = (-0.010, -0.005, 0.0, 0.005, 0.010)
+POSITION_LIMIT = 0.012
+"""Largest |x| and |y| of the continuous protocol, m."""
+ANGLE_LIMIT = math.radians(20.0)
+"""Largest |angle| of the continuous protocol, rad."""
 _DEGREE = math.pi / 180.0
 LARGEST_HOLE = 0.006  # m, as high as the ridge
 
@@ -117,11 +123,7 @@ class MisalignmentNodeParameters(Bounded):
 
     model: str = words("", "Pose model (npz); empty = the packaged one.")
     calibration: str = words("", "Calibration of this rig's pads (YAML); empty = none.")
-    classifiers: tuple[str, ...] = words(
-        ("",),
-        "Source of class probabilities instead of the pose model: the name of a packaged model, or files (npz), at "
-        "most one per target; [''] = none.",
-    )
+    classifiers: str = words("", "Packaged model of class probabilities instead of the pose model; empty = none.")
     rate: float = number(0.0, 0.0, 120.0, "Hz", "Rate of the topic misalignment, {unit}; 0 = off.")
     max_age: float = number(0.1, 0.01, 10.0, "s", "Largest age of the newest frame")
     timeout: float = number(1.0, 0.05, 30.0, "s", "Longest wait for frames beyond their duration at 120 Hz")

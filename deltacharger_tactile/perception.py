@@ -181,25 +181,20 @@ class Perception:
     classes: str = ""
 
     @staticmethod
-    def load(model: str = "", calibration: str = "", classifiers: Sequence[str] = ()) -> Perception:
+    def load(model: str = "", calibration: str = "", classifiers: str = "") -> Perception:
         """Read and check every file.
 
         Args:
             model: npz file of a pose model; empty = the packaged one.
             calibration: YAML file of `deltacharger calibrate tactile`; empty = none.
-            classifiers: the name of a packaged model, or trained npz files, at most one per target; empty
-                names are ignored.
+            classifiers: the name of a packaged model; empty = none.
 
         Raises:
             PerceptionError: a file is missing or of the wrong kind; the message states what to do.
         """
         pose_model = _read("model", PoseEstimator.load, model or MODEL_PATH)
         known = _read("calibration", TactileCalibration.load, calibration) if calibration else None
-        found = Perception(pose_model, known)
-        named = [name for name in classifiers if name]
-        if len(named) == 1 and named[0] in classifier.MODELS:
-            return found.answering(named[0])
-        return dataclasses.replace(found, classifiers=_by_target(named))
+        return Perception(pose_model, known).answering(classifiers)
 
     def answering(self, name: str) -> Perception:
         """Return a copy with the class probabilities of a packaged model; an empty name changes nothing.
@@ -248,16 +243,6 @@ class Perception:
                 shares = _shares(classifier, frames)
                 changed |= {"sure": False} if shares is None else {f"{target}_probability": shares}
         return dataclasses.replace(estimate, **changed) if changed else estimate
-
-
-def _by_target(paths: Sequence[str]) -> dict[str, Classifier]:
-    by_target: dict[str, Classifier] = {}
-    for path in paths:
-        found = _read("classifiers", Classifier.load, path)
-        if found.target in by_target:
-            raise PerceptionError("classifiers", f"{path} is the second one for {found.target}; give one per target")
-        by_target[found.target] = found
-    return by_target
 
 
 def _shares(classifier: Classifier, frames: Array) -> Array | None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads RGB-D images from files or a folder, and writes pictures. Needs OpenCV, `deltacharger[vision]`."""
+"""Reads RGB-D images and cameras' calibrations from files, writes pictures. Needs OpenCV, `deltacharger[vision]`."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.arrays import ArrayError, read_array
-from deltacharger_core.files import FileRefused, open_file, read_bytes
-from deltacharger_vision.errors import ImageError
+from deltacharger_core.files import FileRefused, brief, open_file, read_bytes
+from deltacharger_core.yaml_file import YamlError, read_yaml
+from deltacharger_vision.cameras.ros_formats import Readout, from_camera_info
+from deltacharger_vision.errors import CameraInfoError, ImageError
 from deltacharger_vision.images import Intrinsics, RgbdImage
 
 CAMERA_INFO = "camera_info.yaml"
@@ -155,3 +157,52 @@ def _array(path: Path) -> NDArray[Any]:
         raise ImageError(str(path), f"{error.strerror}; write one with numpy.save") from error
     except ArrayError as error:
         raise ImageError(str(path), f"is not an NPY file ({error}); write it with numpy.save") from error
+
+
+def load_camera_info(path: str | Path) -> Intrinsics:
+    """Read a calibration YAML (`camera_calibration`, `camera_info_manager`) or an echoed CameraInfo.
+
+    Raises:
+        FileNotFoundError: no such file.
+        CameraInfoError: another kind of file, a field is missing, or `from_camera_info` refuses it.
+    """
+    source = str(path)
+    try:
+        found = read_yaml(path, first=True)  # an echoed topic has one document per message; any will do
+    except YamlError as error:
+        raise CameraInfoError(source, f"{error.problem}; give the file of the camera's calibration") from error
+    if not isinstance(found, dict):
+        raise CameraInfoError(source, "holds no mapping; give the file of the camera's calibration")
+    return from_camera_info(
+        _field(source, found, "image_width", "width"),
+        _field(source, found, "image_height", "height"),
+        _data(_field(source, found, "camera_matrix", "k", "K")),
+        _data(_field(source, found, "distortion_coefficients", "d", "D")),
+        str(_field(source, found, "distortion_model") or ""),
+        source,
+        _readout(source, found),
+    )
+
+
+def _field(source: str, found: dict[str, Any], *names: str) -> Any:
+    for name in names:
+        if name in found:
+            return found[name]
+    raise CameraInfoError(source, f"no {' or '.join(names)}; give the file of the camera's calibration")
+
+
+def _data(found: Any) -> Any:
+    if isinstance(found, dict):
+        return found.get("data", [])
+    return [] if found is None else found
+
+
+def _readout(source: str, found: dict[str, Any]) -> Readout:
+    region = found.get("roi") or {}
+    if not isinstance(region, dict):
+        raise CameraInfoError(source, f"roi is {brief(region)}; it must be a mapping, as in CameraInfo")
+    fields = [region.get(name, 0) for name in ("x_offset", "y_offset", "width", "height")]
+    fields += [found.get(name, 0) for name in ("binning_x", "binning_y")]
+    if wrong := [each for each in fields if isinstance(each, bool) or not isinstance(each, int)]:
+        raise CameraInfoError(source, f"roi or binning contains {brief(wrong[0])}; give whole numbers of pixels")
+    return Readout(*fields)

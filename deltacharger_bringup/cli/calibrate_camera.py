@@ -22,12 +22,11 @@ from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.parameters import ParameterError
 from deltacharger_kinematics.calibration.data import MILLIMETRE
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
-from deltacharger_vision.cameras.ros_formats import load_camera_info
 from deltacharger_vision.errors import VisionError
 from deltacharger_vision.hand_eye.board import Board
 from deltacharger_vision.hand_eye.calibrate import Calibration, calibrate, doubts, held_out_rms, notes
 from deltacharger_vision.hand_eye.fit import Beliefs
-from deltacharger_vision.image_files import CAMERA_INFO, require_opencv
+from deltacharger_vision.image_files import CAMERA_INFO, load_camera_info, require_opencv
 from deltacharger_vision.mount import Mount, quaternion
 from deltacharger_vision.rendering.board_drawing import board_svg
 

@@ -167,7 +167,7 @@ class ViewsFolder:
         return name
 
     def _resume(self, intrinsics: Intrinsics) -> None:
-        from deltacharger_vision.cameras.ros_formats import load_camera_info
+        from deltacharger_vision.image_files import load_camera_info
 
         rows = read_rows(self._folder)
         ours = all(row.image == f"view_{n:03}.png" for n, row in enumerate(rows, start=1))

@@ -16,10 +16,9 @@ from deltacharger_bringup.cli.arguments import folder_to_write
 from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, Result, Tenths, WrongInput, log_line, wrong_input
 from deltacharger_core import environment
 from deltacharger_core.mcap_file import RecordingError, recordings_in
-from deltacharger_vision.cameras.ros_formats import load_camera_info
 from deltacharger_vision.detector.detector import ElectrodeDetector, annotated
 from deltacharger_vision.errors import VisionError
-from deltacharger_vision.image_files import ImageFiles, require_opencv, write_picture
+from deltacharger_vision.image_files import ImageFiles, load_camera_info, require_opencv, write_picture
 from deltacharger_vision.mount import CAMERA_FRAME, FRAME, Mount, Placed
 from deltacharger_vision.ros.recording import CameraRecording, CameraTopics
 from deltacharger_vision.terminal import Detection, Terminal

@@ -27,13 +27,8 @@ from deltacharger_docking.release import RETRACT_TIMEOUT, lift_off, retract
 from deltacharger_docking.standoff import approach
 from deltacharger_docking.touch import MEASURE_TIMEOUT
 from deltacharger_kinematics.geometry import Vector
-from deltacharger_tactile.dataset import (
-    POSITION_CLASSES,
-    POSITION_LIMIT,
-    SUBSET_ANGLE,
-    SUBSET_CONTINUOUS,
-    SUBSET_POSITION,
-)
+from deltacharger_tactile.dataset import SUBSET_ANGLE, SUBSET_CONTINUOUS, SUBSET_POSITION
+from deltacharger_tactile.parameters import POSITION_CLASSES, POSITION_LIMIT
 
 SETS = ("position", "angle", "reference", "sweep")
 SUBSETS = dict(zip(SETS, (SUBSET_POSITION, SUBSET_ANGLE, SUBSET_CONTINUOUS, SUBSET_CONTINUOUS), strict=True))

@@ -19,10 +19,9 @@ from deltacharger_core.arrays import Array, Mask
 from deltacharger_core.files import brief
 from deltacharger_core.machine import PADS
 from deltacharger_core.yaml_file import YamlError, read_yaml, write_yaml
-from deltacharger_tactile.dataset import ANGLE_LIMIT, POSITION_LIMIT
 from deltacharger_tactile.errors import FrameError, SensorCalibrationError
 from deltacharger_tactile.estimator import Estimate, Limits, angle_classes, position_classes, shaped
-from deltacharger_tactile.parameters import SHAPE
+from deltacharger_tactile.parameters import ANGLE_LIMIT, POSITION_LIMIT, SHAPE
 
 VERSION = 1
 AXES = ("horizontal", "vertical", "angle")

@@ -17,9 +17,8 @@ from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, PADS, ROWS
 from deltacharger_core.texts import cut
 from deltacharger_tactile.classifiers import runtime
 from deltacharger_tactile.classifiers.runtime import KINDS
-from deltacharger_tactile.dataset import ANGLE_CLASSES, POSITION_CLASSES
-from deltacharger_tactile.errors import ModelError, UnknownModelError
-from deltacharger_tactile.parameters import TactileParameters
+from deltacharger_tactile.errors import ModelError
+from deltacharger_tactile.parameters import ANGLE_CLASSES, POSITION_CLASSES, TactileParameters
 
 TARGETS = ("angle", "vertical", "horizontal")
 MODELS = ("logistic", "svm", "knn", "tree", "gbdt", "forest", "xgboost", "nn", "cnn")
@@ -123,11 +122,10 @@ def load(name: str) -> Mapping[str, Classifier]:
     """Return a model's classifiers by target; each file is read once per process.
 
     Raises:
-        UnknownModelError: no such model.
-        ModelError: one of its files is missing, damaged or from another generator.
+        ModelError: no such model, or one of its files is missing, damaged or from another generator.
     """
     if name not in MODELS:
-        raise UnknownModelError(name, MODELS)
+        raise ModelError(cut(name, 40), f"the packaged classifiers are {', '.join(MODELS)}")
     return {target: _load(name, target, path(name, target)) for target in TARGETS}
 
 

@@ -234,7 +234,7 @@ def _differ(one: Candidate, other: Candidate) -> bool:
     return float(apart @ np.linalg.solve(spread, apart)) > _APART**2
 
 
-_GREEN, _RED, _WHITE = (60, 220, 60), (230, 60, 60), (255, 255, 255)
+_GREEN, _RED = (60, 220, 60), (230, 60, 60)
 _FRACTION = 4  # binary digits after the point of drawn coordinates
 _ARROW = 0.03  # m
 
@@ -274,14 +274,9 @@ def _pixel(point: Array, intrinsics: Intrinsics) -> tuple[int, int]:
 
 
 def _write(picture: NDArray[np.uint8], lines: list[str]) -> None:
-    """Write lines of text into the upper left corner, on a dark strip."""
+    """Write lines of text into the upper left corner."""
     import cv2
 
     scale = max(0.35, picture.shape[0] / 900.0)
-    height = round(36 * scale)
-    width = max(cv2.getTextSize(line, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)[0][0] for line in lines)
-    strip = picture[: height * len(lines) + height // 2, : width + height]
-    strip[:] = strip // 3
-    for row, line in enumerate(lines):
-        place = (height // 3, height * (row + 1))
-        cv2.putText(picture, line, place, cv2.FONT_HERSHEY_SIMPLEX, scale, _WHITE, 1, cv2.LINE_AA)
+    for row, line in enumerate(lines, start=1):
+        cv2.putText(picture, line, (4, round(36 * scale * row)), cv2.FONT_HERSHEY_SIMPLEX, scale, _GREEN)

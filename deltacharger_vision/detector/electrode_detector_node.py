@@ -17,7 +17,7 @@ import math
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -41,7 +41,7 @@ from deltacharger_ros.parameters import Regularly, declare_all, reject_unknown
 from deltacharger_ros.qos import SERVICE
 from deltacharger_vision.detector.detector import ElectrodeDetector, annotated
 from deltacharger_vision.errors import MountError, VisionError
-from deltacharger_vision.images import COLOR, DEPTH, STAMP_TOLERANCE, RgbdImage, StampMatcher
+from deltacharger_vision.images import COLOR, DEPTH, INFO, STAMP_TOLERANCE, RgbdImage, StampMatcher
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.parameters import DetectorNodeParameters, info_topic
 from deltacharger_vision.ros.messages import color_message, detection_message, rgbd_of, slash_hint, stamp_ns
@@ -170,23 +170,10 @@ class Camera:
 
     def _open(self) -> None:
         self._since = time.monotonic()
-        takers: tuple[tuple[Any, Callable[[Any], None]], ...] = (
-            (Image, partial(self._on_image, COLOR)),
-            (Image, partial(self._on_image, DEPTH)),
-            (CameraInfo, self._on_info),
-        )
-        for name, (kind, take) in zip(self.names, takers, strict=True):
-            self._subscriptions.append(
-                self._node.create_subscription(kind, name, self._listener(name, take), qos_profile_sensor_data)
-            )
-
-    def _listener(self, name: str, take: Callable[[Any], None]) -> Callable[[Any], None]:
-        def on_message(message: Any) -> None:
-            with self._news:
-                self._heard[name] = time.monotonic()
-                take(message)
-
-        return on_message
+        for name, kind in zip(self.names, (COLOR, DEPTH, INFO), strict=True):
+            receive = partial(self._on_message, name, kind)
+            message: Any = CameraInfo if kind == INFO else Image
+            self._subscriptions.append(self._node.create_subscription(message, name, receive, qos_profile_sensor_data))
 
     def _unsubscribe(self) -> None:
         """Drop subscriptions and messages, which would be too old for the next use."""
@@ -198,17 +185,15 @@ class Camera:
         self._info = None
         self._matcher.clear()
 
-    def _on_info(self, message: CameraInfo) -> None:
-        self._info = message
-
-    def _on_image(self, kind: str, message: Image) -> None:
-        pair = self._matcher.add_image(kind, stamp_ns(message), message)
-        if pair is None or self._info is None:
-            return
-        stamp, color, depth = pair
-        self._matched = time.monotonic()
-        self._shot = Shot(self.shots + 1, stamp, color, depth, self._info)
-        self._news.notify_all()
+    def _on_message(self, name: str, kind: str, message: Any) -> None:
+        with self._news:
+            self._heard[name] = time.monotonic()
+            if kind == INFO:
+                self._info = message
+            elif (pair := self._matcher.add_image(kind, stamp_ns(message), message)) and self._info is not None:
+                self._matched = time.monotonic()
+                self._shot = Shot(self.shots + 1, *pair, self._info)
+                self._news.notify_all()
 
 
 _FUTURE = 0.05  # s that a stamp may be ahead of this computer's clock

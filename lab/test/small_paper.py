@@ -9,8 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from deltacharger_sim.pads import _generate
-from deltacharger_tactile.dataset import ANGLE_CLASSES, POSITION_CLASSES, SUBSET_ANGLE, SUBSET_POSITION, Dataset
-from deltacharger_tactile.parameters import TactileParameters
+from deltacharger_tactile.dataset import SUBSET_ANGLE, SUBSET_POSITION, Dataset
+from deltacharger_tactile.parameters import ANGLE_CLASSES, POSITION_CLASSES, TactileParameters
 
 
 def small_paper(

@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from deltacharger_bringup.cli.camera_views import VIEWS, ViewsError, ViewsFolder, read_rows
-from deltacharger_vision.cameras.ros_formats import load_camera_info
+from deltacharger_vision.image_files import load_camera_info
 from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.rendering.camera import OAK_D

@@ -13,7 +13,7 @@ import pytest
 from deltacharger_core.yaml_file import YamlError, read_yaml, write_yaml
 from deltacharger_kinematics.geometry import load_geometry
 from deltacharger_scenes.scene import load_scene
-from deltacharger_vision.cameras.ros_formats import load_camera_info
+from deltacharger_vision.image_files import load_camera_info
 from deltacharger_vision.terminal import Terminal
 
 READERS: dict[str, Callable[[Path], Any]] = {"geometry": load_geometry, "scene": load_scene, "camera": load_camera_info}

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import dataclasses
 from typing import Any
-from unittest import mock
 
 import numpy as np
 import pytest
@@ -102,13 +101,6 @@ def sensor(parameters: SensorParameters, seed: int = 1) -> tuple[Sensor, Tactile
     return Sensor(parameters, rig, np.random.default_rng(seed)), family, rig
 
 
-def test_a_perfect_sensor_reads_force_plus_pedestal_within_one_code() -> None:
-    chain, _, _ = sensor(PERFECT)
-    force = np.random.default_rng(0).uniform(0.0, 9.0, (1, 2, 10, 10))
-    raw = chain.read(force, None, 0.0, 1 / 120)
-    assert np.abs(raw - force - PERFECT.pedestal).max() <= 0.5 * 9.5 / 1023 + 1e-12
-
-
 def test_readings_stay_within_the_scale_and_on_its_codes() -> None:
     chain, family, rig = sensor(SensorParameters(dead_taxels=2))
     docking = Dockings.draw(family, np.random.default_rng(2))
@@ -118,13 +110,6 @@ def test_readings_stay_within_the_scale_and_on_its_codes() -> None:
     codes = raw[~rig.dead] * 1023 / 9.5
     assert 0.0 <= codes.min() <= codes.max() <= 1023 + 1e-9
     assert np.allclose(codes, np.round(codes), atol=1e-9)
-
-
-def test_creep_grows_by_its_share_per_decade() -> None:
-    chain, _, _ = sensor(dataclasses.replace(PERFECT, creep=0.03, bits=16))
-    force = np.full((1, 2, 10, 10), 5.0)
-    early, late = (chain.read(force, None, t, 1 / 120)[0, 0, 0, 0] - 0.5 for t in (99.0, 999.0))
-    assert abs((late - early) / 5.0 - 0.03) < 1e-3
 
 
 def test_noise_has_the_stated_size_and_memory() -> None:
@@ -167,18 +152,3 @@ def first_touch_builds_no_model(kind: Any, monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_the_first_touch_builds_no_model(monkeypatch: pytest.MonkeyPatch) -> None:
     first_touch_builds_no_model(ContactSource, monkeypatch)
-
-
-def test_frames_at_rest_share_one_solution_with_equal_readings(monkeypatch: pytest.MonkeyPatch) -> None:
-    solve = mock.Mock(side_effect=ContactModel.solve, spec=ContactModel.solve)
-    monkeypatch.setattr(ContactModel, "solve", lambda *args: solve(*args))
-    runs = []
-    for forget in (False, True):
-        source = ContactSource(rig_seed=4, seed=9)
-        jitter, readings = source.begin_docking(), []
-        for index, force in enumerate((50.0, 50.0, 50.0, 60.0, 50.0)):
-            source._pressed = None if forget else source._pressed
-            readings.append(source.sample(index / 120, jitter, force))
-        runs.append(np.array(readings))
-    assert np.array_equal(*runs, equal_nan=True)
-    assert solve.call_count == 3 + 5

@@ -60,7 +60,7 @@ class Pads(Node):
 def pads(context: Any, spin: Spin, request: pytest.FixtureRequest, tmp_path: Path) -> Pads:
     # An answer's age depends on this computer's load: these tests show other laws.
     TactileCalibration(rig=8).save(tmp_path / "pads.yaml")
-    files = {"calibration": str(tmp_path / "pads.yaml"), "classifiers": ["tree"]}
+    files = {"calibration": str(tmp_path / "pads.yaml"), "classifiers": "tree"}
     spin(MisalignmentNode(**options(context, rate=20.0, max_age=1.0, **files, **getattr(request, "param", {}))))
     client: Pads = spin(Pads(context))
     wait_until(lambda: client.client.service_is_ready())
@@ -93,7 +93,7 @@ def test_answers_come_from_fresh_frames_and_list_them(pads: Pads) -> None:
 
 @pytest.mark.parametrize("pads", [{"timeout": 0.1}], indirect=True)
 def test_refusals_are_unknown_and_list_no_frames(pads: Pads) -> None:
-    refused = [("tactile_node", pads.ask(4)), ("240", pads.ask(1000)), ("known", pads.ask(model="x" * 100_000))]
+    refused = [("tactile_node", pads.ask(4)), ("240", pads.ask(1000)), ("packaged", pads.ask(model="x" * 100_000))]
     pads.tared, pads.streaming = False, True
     refused.append(("tare", wait_until(lambda: next((each for each in [pads.ask(4)] if "tare" in each.message), None))))
     pads.tared, pads.delay = True, 2.0  # every stamp is now before the request

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 import threading
 from functools import cache
@@ -85,35 +84,17 @@ def test_a_calibration_made_for_an_earlier_model_is_used_and_warned_of(tmp_path:
     assert ("pose-1" in perception.doubt) == bool(perception.doubt) == bool(model)
 
 
-def always(path: Path, target: str, favoured: int, count: int) -> str:
-    """Write a classifier with a constant answer."""
-    bias = np.zeros(count)
-    bias[favoured] = 9.0
-    about = {"format": 1, "name": "logistic", "target": target, "threshold": 1.0, "kind": "linear"}
-    np.savez(path, about=np.array(json.dumps(about)), weights=np.zeros((200, count)), bias=bias)
-    return str(path)
-
-
-def test_classifiers_replace_the_probabilities_of_their_target_only(tmp_path: Path) -> None:
-    angle, vertical = always(tmp_path / "a.npz", "angle", 2, 6), always(tmp_path / "v.npz", "vertical", 4, 5)
-    raw = Perception.load(classifiers=[""]).predict(*docked()[0])
-    got = Perception.load(classifiers=[angle, vertical]).predict(*docked()[0])
-    assert (np.argmax(got.angle_probability), np.argmax(got.vertical_probability)) == (2, 4)
-    np.testing.assert_array_equal(got.horizontal_probability, raw.horizontal_probability)
-    assert (got.angle, got.vertical, got.sure) == (raw.angle, raw.vertical, raw.sure)
-    with pytest.raises(PerceptionError, match="second"):
-        Perception.load(classifiers=[angle, angle])
-
-
 def test_a_packaged_model_answers_and_a_failing_one_is_never_sure() -> None:
     usual = Perception.load()
     frame = docked()[0]
     tree = usual.answering("tree")
-    assert tree.name == f"{usual.name}+tree" == Perception.load(classifiers=["tree"]).name
+    assert tree.name == f"{usual.name}+tree" == Perception.load(classifiers="tree").name
     found = tree.predict(*frame)
+    raw = usual.predict(*frame)
+    assert (found.angle, found.vertical, found.sure) == (raw.angle, raw.vertical, raw.sure)
     for target, model in classifier.load("tree").items():
         np.testing.assert_allclose(getattr(found, f"{target}_probability"), model.predict_proba(frame[None])[0])
-    for shares in ([[np.nan] * 6], [[0.5] * 6], [[-1.0, 2.0]], []):
+    for shares in ([[np.nan] * 6], [[0.5] * 6], []):
         broken: Any = {"angle": SimpleNamespace(predict_proba=lambda frames, shares=shares: shares)}
         got = dataclasses.replace(usual, classifiers=broken).predict(*frame)
         assert (got.sure, got.in_range) == (False, True)
@@ -131,13 +112,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("name", ["missing", "data.npz", ".", "zero", "pipe", "cut.npz"])
-@pytest.mark.parametrize("parameter", ["model", "calibration", "classifiers"])
+@pytest.mark.parametrize("name", ["missing", "data.npz", "zero", "pipe", "cut.npz"])
+@pytest.mark.parametrize("parameter", ["model", "calibration"])
 def test_unusable_files_are_refused_with_their_parameter(folder: Path, parameter: str, name: str) -> None:
     path = str(folder / name)
-    values: dict[str, Any] = {parameter: [path] if parameter == "classifiers" else path}
     with pytest.raises(PerceptionError) as refused:
-        Perception.load(**values)
+        Perception.load(**{parameter: path})
     assert refused.value.parameter == parameter
     assert len(refused.value.reason) > len(path) + 5
 

@@ -11,14 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deltacharger_vision.cameras.ros_formats import (
-    Readout,
-    color_array,
-    depth_array,
-    from_camera_info,
-    load_camera_info,
-)
+from deltacharger_vision.cameras.ros_formats import Readout, color_array, depth_array, from_camera_info
 from deltacharger_vision.errors import CameraInfoError, ImageError
+from deltacharger_vision.image_files import load_camera_info
 from deltacharger_vision.images import Intrinsics
 
 CALIBRATION = """\

@@ -32,8 +32,8 @@ from deltacharger_records.datasets.session import SUBSETS, Part, Rested, TouchSe
 from deltacharger_sim.pads import ContactSource
 from deltacharger_sim.parameters import TargetParameters, WorldParameters
 from deltacharger_sim.virtual.quick_charger import QuickCharger
-from deltacharger_tactile.dataset import ANGLE_CLASSES, VERSION, Dataset
-from deltacharger_tactile.parameters import TactileParameters
+from deltacharger_tactile.dataset import VERSION, Dataset
+from deltacharger_tactile.parameters import ANGLE_CLASSES, TactileParameters
 
 _TRIES = 3  # of a docking that fails
 _LIMIT = 120.0  # simulated s of one docking

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array
-from deltacharger_tactile.dataset import ANGLE_CLASSES, POSITION_CLASSES, SUBSET_ANGLE, SUBSET_POSITION, Dataset
+from deltacharger_tactile.dataset import SUBSET_ANGLE, SUBSET_POSITION, Dataset
 from deltacharger_tactile.errors import DatasetError
+from deltacharger_tactile.parameters import ANGLE_CLASSES, POSITION_CLASSES
 
 _ANGLE_STEP = np.radians(1.0)
 
