@@ -126,7 +126,6 @@ def test_a_killed_docking_node_ends_the_charger_with_1(launched: Launch, namespa
 
 BROKEN = [
     ({"scen": "mocks"}, "", "did you mean 'scene'"),
-    ({"charger_camera": "usb"}, "", "charger_camera: is 'usb'"),
     ({}, "ports: {servo: /dev/no_servo, board: /dev/no_board}", "there is no such port"),
     (
         {},
@@ -216,9 +215,7 @@ def test_a_groups_namespace_remaps_parameters_and_environment_apply(
     ("prefix", "signals", "to_group", "code"),
     [
         pytest.param((), (INT,), False, 0, id="SIGINT"),
-        pytest.param(TERMINAL, (INT,), False, 0, id="SIGINT_to_launch_alone_in_a_terminal"),
         pytest.param(TERMINAL, (INT, INT), True, 0, id="Ctrl-C_twice_in_a_terminal"),
-        pytest.param((), (INT, INT), True, 0, id="SIGINT_twice_without_terminal"),
         pytest.param(
             (), (signal.Signals[UNIT["KillSignal"]],), UNIT["KillMode"] == "control-group", 0, id="systemctl_stop"
         ),

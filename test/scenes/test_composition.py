@@ -31,18 +31,6 @@ def test_a_node_that_rejects_its_parameters_ends_the_running_ones(context: Any, 
     assert spinning() == before
 
 
-def test_nodes_have_their_namespace_and_parameters(context: Any, namespace: str) -> None:
-    values = {"parameters": {"mock_detector_node": {"x": 0.5}}, "nodes": ["mock_detector_node"]}
-    with Composition(parse_scene(values, "x"), context, namespace) as composition:
-        node = composition.node("mock_detector_node")
-        assert node.get_namespace() == f"/{namespace}"
-        assert node.get_parameter("x").value == 0.5
-        assert composition.failed() == []
-        with pytest.raises(KeyError, match="docking_node is not running"):
-            composition.node("docking_node")
-    composition.close()
-
-
 @pytest.mark.version
 def test_they_close_in_the_reverse_order_even_if_one_fails(
     context: Any, namespace: str, monkeypatch: pytest.MonkeyPatch

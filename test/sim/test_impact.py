@@ -68,8 +68,8 @@ def pressed(arm: ArmFactory, parameters: WorldParameters, step: float, speed: fl
 
 
 class TestSpring:
-    @pytest.mark.parametrize("stiffness", [1e5, 1e6, 1e7, 1e9])
-    @pytest.mark.parametrize(("speed", "step"), [(0.01, 0.01), (0.01, 0.02), (0.12, 0.001), (0.12, 0.005)])
+    @pytest.mark.parametrize("stiffness", [1e5, 1e9])
+    @pytest.mark.parametrize(("speed", "step"), [(0.01, 0.02), (0.12, 0.001)])
     def test_an_undamped_strike_peaks_at_v_times_the_root_of_k_m(
         self, step: float, stiffness: float, speed: float
     ) -> None:
@@ -93,10 +93,6 @@ class TestSpring:
         flat, askew = thrown(0.1, 1e6, 0.005), thrown(0.1, 1e6, 0.005, **leaning)
         assert 0.2 * flat.record.peak_force < askew.record.peak_force < flat.record.peak_force
 
-    def test_without_a_target_there_is_no_strike(self) -> None:
-        world = thrown(0.1, 1e6, 0.005, target=TargetParameters(present=False))
-        assert world.record.peak_force == 0.0
-
 
 def weightless(stiffness: float) -> WorldParameters:
     contact = ContactParameters(stiffness=stiffness)
@@ -104,23 +100,7 @@ def weightless(stiffness: float) -> WorldParameters:
 
 
 class TestPeak:
-    @pytest.mark.rest
-    @pytest.mark.parametrize(
-        ("yaw", "pitch", "compliance", "stiffness"),
-        [(0.05, 0.0, 0.03, 1e6), (0.05, 0.0, 0.01, 1e5), (0.0, 0.05, 0.0, 1e6)],
-    )
-    def test_a_strike_on_a_leaning_face_agrees_with_the_complete_model_in_tiny_steps(
-        self, arm: ArmFactory, yaw: float, pitch: float, compliance: float, stiffness: float
-    ) -> None:
-        parameters = WorldParameters(
-            contact=ContactParameters(stiffness=stiffness),
-            platform=PlatformParameters(compliance=compliance),
-            target=TargetParameters(tilt_x=pitch, tilt_y=yaw),
-        )
-        fine, *coarse = (pressed(arm, parameters, step, 0.03).world.record.peak_force for step in (2e-4, *STEPS[1:]))
-        assert coarse == pytest.approx([fine] * 3, rel=0.06)
-
-    @pytest.mark.parametrize("stiffness", [1e3, 1e5, 1e6])
+    @pytest.mark.parametrize("stiffness", [1e3, 1e6])
     def test_the_peak_of_a_slow_strike_approaches_the_settled_force(self, arm: ArmFactory, stiffness: float) -> None:
         over = []
         for speed in (0.06, 0.01, 0.0005):
@@ -131,7 +111,7 @@ class TestPeak:
 
     @pytest.mark.parametrize(
         ("servo", "stiffness", "magnets"),
-        [(2.5, 1e4, 0.0), (2.5, 1e6, 60.0), (15.0, 1e5, 60.0), (15.0, 1e6, 0.0), (15.0, 1e8, 60.0)],
+        [(2.5, 1e4, 0.0), (15.0, 1e5, 60.0), (15.0, 1e8, 60.0)],
     )
     def test_the_step_does_not_change_it(self, arm: ArmFactory, servo: float, stiffness: float, magnets: float) -> None:
         parameters = WorldParameters(
@@ -141,13 +121,6 @@ class TestPeak:
         )
         peaks = [pressed(arm, parameters, step, 0.025).world.record.peak_force for step in (0.002, *STEPS[1:])]
         assert peaks[1:] == pytest.approx([peaks[0]] * 3, rel=0.15)
-
-    def test_the_peak_of_a_snap_exceeds_its_settled_force(self, arm: ArmFactory) -> None:
-        found = arm(WorldParameters(contact=ContactParameters(stiffness=1e6)))
-        found.go((0.0, 0.0, 0.06))
-        found.go((0.0, 0.0, 0.0775))
-        assert found.world.record.contacts == 1
-        assert found.world.record.peak_force > 2.0 * found.world.mechanics.contact_force
 
 
 class TestQuiet:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws of the mechanics: statics, limits, contact, energy, symmetry, convergence, rest, and parts that are disabled."""
+"""Laws of the mechanics: statics, limits, contact, energy, symmetry, rest, and parts that are disabled."""
 
 from __future__ import annotations
 
@@ -50,287 +50,216 @@ def apart(first: list[Vector], second: list[Vector]) -> float:
     return max(math.dist(a, b) for a, b in zip(first, second, strict=True))
 
 
-class TestStatics:
-    def test_the_arm_starts_at_home_and_its_gears_friction_carries_it_without_power(self, arm: ArmFactory) -> None:
-        mechanics = arm().world.mechanics
-        assert mechanics.angles == pytest.approx([math.radians(-41.55)] * 3, abs=2e-4)
-        limp = arm()
-        limp.run(1.0)
-        assert math.hypot(*limp.world.mechanics.position) < 5e-4
-        assert limp.world.mechanics.torques == (0.0, 0.0, 0.0)
-        weak = arm(WorldParameters(servo=plain_servo(unpowered_friction=0.1), target=NO_TARGET))
-        weak.go((0.0, 0.0, 0.05))
-        weak.release()
-        weak.run(3.0)
-        assert -0.2 < weak.world.mechanics.position[1] < -0.01
-        assert math.hypot(*weak.world.mechanics.velocity) < 1e-3
-
-    @pytest.mark.parametrize("point", [(0.0, 0.0, 0.08), (-0.05, 0.05, 0.1)])
-    def test_at_rest_the_servos_carry_only_the_weight(self, arm: ArmFactory, point: Any) -> None:
-        still = arm(WorldParameters(servo=SLIPPERY, target=NO_TARGET))
-        still.go(point, 2.0)
-        mechanics = still.world.mechanics
-        assert mechanics.position == pytest.approx(point, abs=1e-6)
-        expected = still.delta.holding_torque(*mechanics.position, still.gravity)
-        assert mechanics.torques == pytest.approx(expected, abs=1e-5)
-
-    @pytest.mark.parametrize(("stiffness", "sag"), [(2.5, 23.5), (15.0, 4.0), (20.0, 3.0)])
-    def test_sag_and_contact_current_follow_the_servos_stiffness(
-        self, arm: ArmFactory, stiffness: float, sag: float
-    ) -> None:
-        """Sag at the dock falls as one over stiffness; a step of 5 mm is 0.030 A per unit of it."""
-        servo = plain_servo(friction=0.0, stiffness=stiffness)
-        hanging = arm(WorldParameters(servo=servo, target=NO_TARGET))
-        hanging.go((0.0, 0.0, 0.08), 4.0, lead=False)
-        assert -1000.0 * hanging.world.mechanics.position[1] == pytest.approx(sag, abs=0.1)
-        pressing, currents = arm(WorldParameters(servo=servo, magnets=NO_MAGNETS)), []
-        for z in (0.081, 0.086):
-            pressing.go((0.0, 0.0, z), max(1.0, 8.0 * servo.damping / stiffness))
-            currents.append(pressing.contact_current)
-        assert currents[1] - currents[0] == pytest.approx(0.030 * stiffness, rel=0.05)
-
-    def test_friction_hides_only_a_few_newtons(self, arm: ArmFactory) -> None:
-        forces = []
-        for start in (0.0855, 0.0885):  # the same command reached from below and from above
-            rubbing = arm(WorldParameters(magnets=NO_MAGNETS))
-            for z in (0.07, start, 0.087):
-                rubbing.go((0.0, 0.0, z))
-            forces.append(rubbing.contact_current / rubbing.world.push())
-        assert forces[0] != pytest.approx(forces[1], rel=0.02)
-        assert abs(forces[0] - forces[1]) * 20.0 < 0.12  # A at 20 N
+def test_its_gears_friction_carries_the_arm_without_power_and_little_friction_lets_it_sink(arm: ArmFactory) -> None:
+    limp = arm()
+    limp.run(1.0)
+    assert math.hypot(*limp.world.mechanics.position) < 5e-4
+    assert limp.world.mechanics.torques == (0.0, 0.0, 0.0)
+    weak = arm(WorldParameters(servo=plain_servo(unpowered_friction=0.1), target=NO_TARGET))
+    weak.go((0.0, 0.0, 0.05))
+    weak.release()
+    weak.run(3.0)
+    assert -0.2 < weak.world.mechanics.position[1] < -0.01
+    assert math.hypot(*weak.world.mechanics.velocity) < 1e-3
 
 
-class TestLimits:
-    @pytest.mark.parametrize("bound", [0.0, 0.3, 100.0])
-    def test_no_servo_exceeds_its_current_bound_or_its_stall_torque(self, arm: ArmFactory, bound: float) -> None:
-        bounded = arm(WorldParameters(servo=plain_servo(stiffness=40.0)))
-        bounded.go((0.0, 0.0, 0.06))
-        bounded.aim((0.0, 0.0, 0.105), bound)
-        for _ in range(200):
-            bounded.world.step()
-            assert max(map(abs, bounded.world.mechanics.torques)) <= min(bound * TORQUE_CONSTANT, STALL_TORQUE) + 1e-12
+@pytest.mark.parametrize("point", [(0.0, 0.0, 0.08), (-0.05, 0.05, 0.1)])
+def test_at_rest_the_servos_carry_only_the_weight(arm: ArmFactory, point: Any) -> None:
+    still = arm(WorldParameters(servo=SLIPPERY, target=NO_TARGET))
+    still.go(point, 2.0)
+    mechanics = still.world.mechanics
+    assert mechanics.position == pytest.approx(point, abs=1e-6)
+    expected = still.delta.holding_torque(*mechanics.position, still.gravity)
+    assert mechanics.torques == pytest.approx(expected, abs=1e-5)
 
-    @pytest.mark.parametrize("step", [0.001, 0.01, 0.05, 0.1])
-    def test_the_state_stays_finite_balanced_and_between_the_stops_for_any_command(
-        self, arm: ArmFactory, step: float
-    ) -> None:
-        """Long steps are halved until they balance."""
-        draw, geometry = random.Random(3), DeltaGeometry()
-        rough = arm(WorldParameters(), step)
-        for trial in range(40):
-            beyond = trial % 8 == 0  # the stops, for long enough to come to rest there
-            for index in range(3):
-                goal = draw.choice((-3.0, 3.0)) if beyond else draw.uniform(-2.0, 2.0)
-                current = 4.1 if beyond else draw.choice((0.0, 0.3, 2.8, 4.1))
-                rough.world.command(index, beyond or draw.random() < 0.8, goal, current)
-            for _ in range(max(1, round((1.0 if beyond else 0.1) / step))):
-                rough.world.step(step)
-                state = rough.world.mechanics
-                numbers = (*state.position, *state.velocity, *state.torques, state.contact_force)
-                assert all(map(math.isfinite, numbers))
-                assert state.imbalance < 0.5
-            if beyond:
-                assert all(geometry.joint_min - 0.01 < a < geometry.joint_max + 0.01 for a in state.angles)
 
-    def test_a_nan_goal_changes_nothing(self, arm: ArmFactory) -> None:
-        still = arm()
-        still.go((0.0, 0.0, 0.05))
-        before = still.world.mechanics.position
+@pytest.mark.parametrize("bound", [0.0, 0.3, 100.0])
+def test_no_servo_exceeds_its_current_bound_or_its_stall_torque(arm: ArmFactory, bound: float) -> None:
+    bounded = arm(WorldParameters(servo=plain_servo(stiffness=40.0)))
+    bounded.go((0.0, 0.0, 0.06))
+    bounded.aim((0.0, 0.0, 0.105), bound)
+    for _ in range(200):
+        bounded.world.step()
+        assert max(map(abs, bounded.world.mechanics.torques)) <= min(bound * TORQUE_CONSTANT, STALL_TORQUE) + 1e-12
+
+
+@pytest.mark.parametrize("step", [0.001, 0.1])
+def test_the_state_stays_finite_balanced_and_between_the_stops_for_any_command(arm: ArmFactory, step: float) -> None:
+    """Long steps are halved until they balance."""
+    draw, geometry = random.Random(3), DeltaGeometry()
+    rough = arm(WorldParameters(), step)
+    for trial in range(40):
+        beyond = trial % 8 == 0  # the stops, for long enough to come to rest there
         for index in range(3):
-            still.world.command(index, True, math.nan, 4.1)
-        still.run(0.5)
-        assert still.world.mechanics.position == pytest.approx(before, abs=1e-6)
+            goal = draw.choice((-3.0, 3.0, math.nan)) if beyond else draw.uniform(-2.0, 2.0)
+            current = 4.1 if beyond else draw.choice((0.0, 0.3, 2.8, 4.1))
+            rough.world.command(index, beyond or draw.random() < 0.8, goal, current)
+        for _ in range(max(1, round((1.0 if beyond else 0.1) / step))):
+            rough.world.step(step)
+            state = rough.world.mechanics
+            numbers = (*state.position, *state.velocity, *state.torques, state.contact_force)
+            assert all(map(math.isfinite, numbers))
+            assert state.imbalance < 0.5
+        if beyond:
+            assert all(geometry.joint_min - 0.01 < a < geometry.joint_max + 0.01 for a in state.angles)
 
 
 def electrode_force(contact: ContactParameters, depth: float) -> float:
     return 2.0 * contact.stiffness * depth + contact.hard_stop_stiffness * max(depth - contact.hard_stop, 0.0)
 
 
-class TestContact:
-    @pytest.mark.parametrize(("stiffness", "step"), [(1e3, 0.02), (1e5, 0.1), (1e7, 0.005), (1e9, 0.1), (1e5, 0.001)])
-    def test_settled_force_does_not_depend_on_the_step(self, arm: ArmFactory, stiffness: float, step: float) -> None:
-        contact = ContactParameters(stiffness=stiffness)
-        pressing = arm(WorldParameters(servo=SLIPPERY, contact=contact, gravity_y=0.0), step)
-        pressing.go((0.0, 0.0, 0.07), 0.8)
-        pressing.go((0.0, 0.0, 0.086), 1.2)
-        mechanics = pressing.world.mechanics
-        # Balance of springs, magnets and electrodes by bisection, without an integrator.
-        goal = pressing.delta.inverse(0.0, 0.0, 0.086)[0]
-        low, high = 0.080, 0.105
-        for _ in range(100):
-            z = 0.5 * (low + high)
-            lever = pressing.delta.jacobian(0.0, 0.0, z)[6]
-            pushed = 15.0 * (goal - pressing.delta.inverse(0.0, 0.0, z)[0]) / lever + 60.0
-            low, high = (z, high) if pushed > electrode_force(contact, z - 0.080) else (low, z)
-        assert mechanics.contact_force == pytest.approx(electrode_force(contact, low - 0.080), rel=1e-3)
-        assert math.hypot(*mechanics.velocity) < 1e-6
-
-    @pytest.mark.parametrize("offset", [0.0, 0.008])
-    def test_the_force_is_the_sum_of_servos_and_magnets(self, arm: ArmFactory, offset: float) -> None:
-        pressing = arm(WorldParameters(servo=plain_servo(), target=TargetParameters(x=offset)))
-        pressing.go((0.0, 0.0, 0.07))
-        pressing.go((0.0, 0.0, 0.0865))
-        world, mechanics = pressing.world, pressing.world.mechanics
-        aside = math.hypot(*world.misalignment[:2])
-        assert offset - 0.004 < aside <= max(offset, 0.0005)
-        assert world.push() == pytest.approx(mechanics.contact_force - 60.0 / (1.0 + (aside / 0.008) ** 2), abs=0.01)
-        assert world.snapshot().push == world.push()
-        # The servos' currents differ from it by the friction of their gears: 3 · 0.1 N·m over 0.116 m are 2.6 N.
-        assert pressing.contact_current * 38.4 == pytest.approx(world.push(), abs=2.7)
-
-    def test_the_current_bound_caps_the_push_and_soft_electrodes_bottom_at_their_stop(self, arm: ArmFactory) -> None:
-        pressing = arm(WorldParameters(servo=SLIPPERY, gravity_y=0.0))
-        pressing.dock()
-        pressing.go((0.0, 0.0, 0.105), 1.0, bound=0.6)
-        assert 20.0 < pressing.world.push() < 0.6 * 38.4 + 0.1
-        soft = arm(WorldParameters(contact=ContactParameters(stiffness=1e3)))
-        soft.dock(0.010)
-        assert 0.002 < -soft.world.mechanics.gap < 0.0022
-
-    def test_lateral_force_stays_in_the_friction_cone(self, arm: ArmFactory) -> None:
-        still = arm(WorldParameters(servo=SLIPPERY, magnets=NO_MAGNETS, gravity_y=0.0))
-        still.dock()
-        mechanics, rest = still.world.mechanics, still.world.mechanics.position
-        slid = False
-        for side in range(1, 15):
-            still.go((0.003 * side, 0.0, 0.0865), 0.3)
-            force = still.delta.force(*mechanics.position, mechanics.torques)
-            lateral = math.hypot(force[0], force[1])
-            assert lateral <= 0.3 * mechanics.contact_force + 0.01
-            moved = mechanics.position[0] - rest[0]
-            if lateral < 0.28 * mechanics.contact_force:
-                assert moved < 2e-4  # it sticks: only the bristles yield
-            slid = slid or moved > 1e-3
-        assert slid
-
-    def test_friction_holds_the_docked_arm_when_power_is_lost(self, arm: ArmFactory) -> None:
-        docked = arm(WorldParameters(servo=plain_servo(unpowered_friction=0.0)))
-        docked.dock()
-        before = docked.world.mechanics.position
-        docked.release()
-        docked.run(1.0)
-        assert docked.world.mechanics.contact_force == pytest.approx(60.0, abs=2.0)
-        assert docked.world.mechanics.position == pytest.approx(before, abs=2e-4)
+@pytest.mark.parametrize(("stiffness", "step"), [(1e3, 0.02), (1e5, 0.001), (1e9, 0.1)])
+def test_settled_force_does_not_depend_on_the_step(arm: ArmFactory, stiffness: float, step: float) -> None:
+    contact = ContactParameters(stiffness=stiffness)
+    pressing = arm(WorldParameters(servo=SLIPPERY, contact=contact, gravity_y=0.0), step)
+    pressing.go((0.0, 0.0, 0.07), 0.8)
+    pressing.go((0.0, 0.0, 0.086), 1.2)
+    mechanics = pressing.world.mechanics
+    # Balance of springs, magnets and electrodes by bisection, without an integrator.
+    goal = pressing.delta.inverse(0.0, 0.0, 0.086)[0]
+    low, high = 0.080, 0.105
+    for _ in range(100):
+        z = 0.5 * (low + high)
+        lever = pressing.delta.jacobian(0.0, 0.0, z)[6]
+        pushed = 15.0 * (goal - pressing.delta.inverse(0.0, 0.0, z)[0]) / lever + 60.0
+        low, high = (z, high) if pushed > electrode_force(contact, z - 0.080) else (low, z)
+    assert mechanics.contact_force == pytest.approx(electrode_force(contact, low - 0.080), rel=1e-3)
+    assert math.hypot(*mechanics.velocity) < 1e-6
 
 
-class TestEnergy:
-    @pytest.mark.parametrize(("step", "lateral"), [(0.001, 0.0), (0.005, 0.03), (0.02, 0.0), (0.05, 0.02)])
-    def test_energy_never_grows_in_free_fall_onto_target_and_stops(
-        self, arm: ArmFactory, step: float, lateral: float
-    ) -> None:
-        falling = arm(WorldParameters(servo=LIMP, magnets=NO_MAGNETS, gravity_y=-4.0, gravity_z=6.0), step)
-        falling.go((lateral, 0.0, 0.05), 1.0)
-        falling.release()
-        energies = [falling.energy()]
-        for _ in range(round(1.5 / step)):
-            falling.world.step(step)
-            energies.append(falling.energy())
-        scale = max(energies) - min(energies)
-        assert scale > 0.01  # it fell
-        for before, after in itertools.pairwise(energies):
-            assert after <= before + 0.02 * scale
-        assert energies[-1] == min(energies) or energies[-1] < energies[0] - 0.5 * scale
-
-    def test_in_tiny_steps_it_loses_almost_no_energy_on_the_way_to_its_stops(self, arm: ArmFactory) -> None:
-        swinging = arm(WorldParameters(servo=LIMP, magnets=NO_MAGNETS, target=NO_TARGET, gravity_y=-4.0), 0.0002)
-        swinging.go((0.0, 0.02, 0.06), 1.0)
-        swinging.release()
-        before = swinging.energy()
-        while max(swinging.world.mechanics.angles) < 1.0:
-            swinging.world.step(0.0002)
-        moving = 0.5 * 0.319 * sum(v * v for v in swinging.world.mechanics.velocity)
-        assert moving > 0.003
-        assert swinging.energy() == pytest.approx(before, abs=0.01 * moving)
-
-    def test_a_step_response_of_the_servos_does_not_ring(self, arm: ArmFactory) -> None:
-        moving = arm(WorldParameters(target=NO_TARGET), 0.002)
-        moving.go((0.0, 0.0, 0.04), 1.5)
-        assert max(place[2] for place in course(moving, ((0.0, 0.0, 0.05),), 1.0)) < 0.0505
+@pytest.mark.parametrize("offset", [0.0, 0.008])
+def test_the_force_is_the_sum_of_servos_and_magnets(arm: ArmFactory, offset: float) -> None:
+    pressing = arm(WorldParameters(servo=plain_servo(), target=TargetParameters(x=offset)))
+    pressing.go((0.0, 0.0, 0.07))
+    pressing.go((0.0, 0.0, 0.0865))
+    world, mechanics = pressing.world, pressing.world.mechanics
+    aside = math.hypot(*world.misalignment[:2])
+    assert offset - 0.004 < aside <= max(offset, 0.0005)
+    assert world.push() == pytest.approx(mechanics.contact_force - 60.0 / (1.0 + (aside / 0.008) ** 2), abs=0.01)
+    # The servos' currents differ from it by the friction of their gears: 3 · 0.1 N·m over 0.116 m are 2.6 N.
+    assert pressing.contact_current * 38.4 == pytest.approx(world.push(), abs=2.7)
 
 
-class TestServo:
-    def test_without_a_d_gain_only_viscosity_brakes_a_swing(self) -> None:
-        swings = []
-        for servo, braking in ((plain_servo(friction=0.0, viscosity=0.02), 0.0), (SWINGING, 1.0)):
-            world = World(WorldParameters(servo=servo, target=NO_TARGET, gravity_y=0.0), start=(0.0, 0.0, 0.08))
-            for index, goal in enumerate(DELTA.inverse(0.0, 0.0, 0.081)):
-                world.command(index, True, goal, 4.1, 1.0, braking)
-            swings.append([])
-            for _ in range(500):
-                world.step(0.002)
-                swings[-1].append(world.mechanics.position[2] - 0.081)
-        assert swings[0] == swings[1]
-        # m z̈ + c ż + k z = 0, its envelope over the last 0.8 s.
-        geometry, turn = DeltaGeometry(), 1.0 / sum(DELTA.jacobian(0.0, 0.0, 0.081)[6:])
-        mass = geometry.platform_mass + 1.5 * geometry.rod_mass + 3.0 * SWINGING.inertia * turn * turn
-        decay = math.exp(-0.5 * 3.0 * 0.02 * turn * turn / mass * 0.8)
-        assert max(swings[0][400:]) / max(swings[0][:100]) == pytest.approx(decay, rel=0.05)
-
-    def test_gears_take_their_friction_and_a_share_of_the_torque_from_a_push(self, arm: ArmFactory) -> None:
-        servo = plain_servo(damping=3.0, friction=0.1, friction_share=0.2)  # it creeps, so that it ends pushing
-        soft = ContactParameters(stiffness=1e4)  # its compression of 1 mm stretches the gears' bristles
-        pressing = arm(WorldParameters(servo=servo, contact=soft, magnets=NO_MAGNETS, gravity_y=0.0))
-        pressing.go((0.0, 0.0, 0.07))
-        pressing.go((0.0, 0.0, 0.09), 3.0)
-        mechanics = pressing.world.mechanics
-        left = 0.8 * mechanics.torques[0] - 0.1
-        assert mechanics.contact_force == pytest.approx(left / DELTA.jacobian(*mechanics.position)[6], rel=1e-4)
+def test_the_current_bound_caps_the_push_and_soft_electrodes_bottom_at_their_stop(arm: ArmFactory) -> None:
+    pressing = arm(WorldParameters(servo=SLIPPERY, gravity_y=0.0))
+    pressing.dock()
+    pressing.go((0.0, 0.0, 0.105), 1.0, bound=0.6)
+    assert 20.0 < pressing.world.push() < 0.6 * 38.4 + 0.1
+    soft = arm(WorldParameters(contact=ContactParameters(stiffness=1e3)))
+    soft.dock(0.010)
+    assert 0.002 < -soft.world.mechanics.gap < 0.0022
 
 
-class TestMotion:
-    def test_a_third_of_a_turn_changes_nothing_but_the_names_of_the_limbs(self, arm: ArmFactory) -> None:
-        cosine, sine = -0.5, math.sqrt(0.75)
-
-        def turned(point: Vector) -> Vector:
-            return cosine * point[0] - sine * point[1], sine * point[0] + cosine * point[1], point[2]
-
-        straight = course(arm(WorldParameters(servo=SLIPPERY, gravity_y=0.0)))
-        around = course(arm(WorldParameters(servo=SLIPPERY, gravity_y=0.0)), tuple(turned(point) for point in POINTS))
-        # The magnets follow a lateral move of each axis in steps of 1 µm.
-        assert apart([turned(place) for place in straight], around) < 2e-7
-
-    def test_reversed_gravity_sags_in_the_opposite_direction(self, arm: ArmFactory) -> None:
-        down, up = (
-            course(arm(WorldParameters(servo=SLIPPERY, target=NO_TARGET, gravity_y=weight)), ((0.0, 0.0, 0.06),))[-1]
-            for weight in (-9.81, 9.81)
-        )
-        assert (down[1], down[2]) == pytest.approx((-up[1], up[2]), abs=1e-9)
-
-    def test_at_rest_the_world_stands_exactly_still_until_a_new_command(self, arm: ArmFactory) -> None:
-        still = arm()
-        still.dock()
-        still.run(1.0)
-        mechanics = still.world.mechanics
-        assert mechanics.still
-        before = (mechanics.position, mechanics.torques, mechanics.contact_force)
-        still.run(1.0)
-        assert (mechanics.position, mechanics.torques, mechanics.contact_force) == before
-        assert mechanics.velocity == (0.0, 0.0, 0.0)
-        still.aim((0.0, 0.0, 0.088))
-        still.run(0.02)
-        assert not mechanics.still
+def test_lateral_force_stays_in_the_friction_cone(arm: ArmFactory) -> None:
+    still = arm(WorldParameters(servo=SLIPPERY, magnets=NO_MAGNETS, gravity_y=0.0))
+    still.dock()
+    mechanics, rest = still.world.mechanics, still.world.mechanics.position
+    slid = False
+    for side in range(1, 15):
+        still.go((0.003 * side, 0.0, 0.0865), 0.3)
+        force = still.delta.force(*mechanics.position, mechanics.torques)
+        lateral = math.hypot(force[0], force[1])
+        assert lateral <= 0.3 * mechanics.contact_force + 0.01
+        moved = mechanics.position[0] - rest[0]
+        if lateral < 0.28 * mechanics.contact_force:
+            assert moved < 2e-4  # it sticks: only the bristles yield
+        slid = slid or moved > 1e-3
+    assert slid
 
 
-class TestParts:
-    @pytest.mark.parametrize(
-        "nearly",
-        [
-            {"platform": PlatformParameters(lever=0.1)},
-            {"platform": PlatformParameters(compliance=1e-12)},
-            {"servo": plain_servo(backlash=1e-12)},
-            {"servo": plain_servo(supply_resistance=0.7)},
-        ],
-        ids=["lever", "compliance", "play", "supply"],
-    )
-    def test_an_almost_disabled_part_has_almost_no_effect(self, arm: ArmFactory, nearly: Any) -> None:
-        assert apart(course(arm()), course(arm(WorldParameters(**{"servo": plain_servo()} | nearly)))) < 2e-8
+@pytest.mark.parametrize(("step", "lateral"), [(0.001, 0.0), (0.05, 0.02)])
+def test_energy_never_grows_in_free_fall_onto_target_and_stops(arm: ArmFactory, step: float, lateral: float) -> None:
+    falling = arm(WorldParameters(servo=LIMP, magnets=NO_MAGNETS, gravity_y=-4.0, gravity_z=6.0), step)
+    falling.go((lateral, 0.0, 0.05), 1.0)
+    falling.release()
+    energies = [falling.energy()]
+    for _ in range(round(1.5 / step)):
+        falling.world.step(step)
+        energies.append(falling.energy())
+    scale = max(energies) - min(energies)
+    assert scale > 0.01  # it fell
+    assert all(after <= before + 0.02 * scale for before, after in itertools.pairwise(energies))
 
-    def test_disabled_parts_are_not_created(self) -> None:
-        world = World(WorldParameters(platform=PlatformParameters(lever=0.1)))
-        assert world.mechanics._touch.tilt is None  # type: ignore[attr-defined]
-        world.step()
-        assert world.mechanics.tilt == (0.0, 0.0)
-        assert world.mechanics.lean is None
+
+def test_in_tiny_steps_it_loses_almost_no_energy_on_the_way_to_its_stops(arm: ArmFactory) -> None:
+    swinging = arm(WorldParameters(servo=LIMP, magnets=NO_MAGNETS, target=NO_TARGET, gravity_y=-4.0), 0.0002)
+    swinging.go((0.0, 0.02, 0.06), 1.0)
+    swinging.release()
+    before = swinging.energy()
+    while max(swinging.world.mechanics.angles) < 1.0:
+        swinging.world.step(0.0002)
+    moving = 0.5 * 0.319 * sum(v * v for v in swinging.world.mechanics.velocity)
+    assert moving > 0.003
+    assert swinging.energy() == pytest.approx(before, abs=0.01 * moving)
+
+
+def test_without_a_d_gain_only_viscosity_brakes_a_swing() -> None:
+    swings = []
+    for servo, braking in ((plain_servo(friction=0.0, viscosity=0.02), 0.0), (SWINGING, 1.0)):
+        world = World(WorldParameters(servo=servo, target=NO_TARGET, gravity_y=0.0), start=(0.0, 0.0, 0.08))
+        for index, goal in enumerate(DELTA.inverse(0.0, 0.0, 0.081)):
+            world.command(index, True, goal, 4.1, 1.0, braking)
+        swings.append([])
+        for _ in range(500):
+            world.step(0.002)
+            swings[-1].append(world.mechanics.position[2] - 0.081)
+    assert swings[0] == swings[1]
+    # m z̈ + c ż + k z = 0, its envelope over the last 0.8 s.
+    geometry, turn = DeltaGeometry(), 1.0 / sum(DELTA.jacobian(0.0, 0.0, 0.081)[6:])
+    mass = geometry.platform_mass + 1.5 * geometry.rod_mass + 3.0 * SWINGING.inertia * turn * turn
+    decay = math.exp(-0.5 * 3.0 * 0.02 * turn * turn / mass * 0.8)
+    assert max(swings[0][400:]) / max(swings[0][:100]) == pytest.approx(decay, rel=0.05)
+
+
+def test_gears_take_their_friction_and_a_share_of_the_torque_from_a_push(arm: ArmFactory) -> None:
+    servo = plain_servo(damping=3.0, friction=0.1, friction_share=0.2)  # it creeps, so that it ends pushing
+    soft = ContactParameters(stiffness=1e4)  # its compression of 1 mm stretches the gears' bristles
+    pressing = arm(WorldParameters(servo=servo, contact=soft, magnets=NO_MAGNETS, gravity_y=0.0))
+    pressing.go((0.0, 0.0, 0.07))
+    pressing.go((0.0, 0.0, 0.09), 3.0)
+    mechanics = pressing.world.mechanics
+    left = 0.8 * mechanics.torques[0] - 0.1
+    assert mechanics.contact_force == pytest.approx(left / DELTA.jacobian(*mechanics.position)[6], rel=1e-4)
+
+
+def test_a_third_of_a_turn_changes_nothing_but_the_names_of_the_limbs(arm: ArmFactory) -> None:
+    cosine, sine = -0.5, math.sqrt(0.75)
+
+    def turned(point: Vector) -> Vector:
+        return cosine * point[0] - sine * point[1], sine * point[0] + cosine * point[1], point[2]
+
+    straight = course(arm(WorldParameters(servo=SLIPPERY, gravity_y=0.0)))
+    around = course(arm(WorldParameters(servo=SLIPPERY, gravity_y=0.0)), tuple(turned(point) for point in POINTS))
+    # The magnets follow a lateral move of each axis in steps of 1 µm.
+    assert apart([turned(place) for place in straight], around) < 2e-7
+
+
+def test_at_rest_the_world_stands_exactly_still_until_a_new_command(arm: ArmFactory) -> None:
+    still = arm()
+    still.dock()
+    still.run(1.0)
+    mechanics = still.world.mechanics
+    assert mechanics.still
+    before = (mechanics.position, mechanics.torques, mechanics.contact_force)
+    still.run(1.0)
+    assert (mechanics.position, mechanics.torques, mechanics.contact_force) == before
+    assert mechanics.velocity == (0.0, 0.0, 0.0)
+    still.aim((0.0, 0.0, 0.088))
+    still.run(0.02)
+    assert not mechanics.still
+
+
+@pytest.mark.parametrize(
+    "nearly",
+    [
+        {"platform": PlatformParameters(lever=0.1)},
+        {"platform": PlatformParameters(compliance=1e-12)},
+        {"servo": plain_servo(backlash=1e-12)},
+    ],
+    ids=["lever", "compliance", "play"],
+)
+def test_an_almost_disabled_part_has_almost_no_effect(arm: ArmFactory, nearly: Any) -> None:
+    assert apart(course(arm()), course(arm(WorldParameters(**{"servo": plain_servo()} | nearly)))) < 2e-8
 
 
 ADJUSTED = DeltaGeometry(
@@ -340,18 +269,13 @@ ADJUSTED = DeltaGeometry(
         LimbAdjustment(height_offset=2e-4, rod=0.1797),
     )
 )
-GEOMETRIES = pytest.mark.parametrize("geometry", [DeltaGeometry(), ADJUSTED], ids=["usual", "adjusted"])
 
 
-def places(count: int) -> list[Vector]:
-    draw = random.Random(5)
-    return [(draw.uniform(-0.06, 0.06), draw.uniform(-0.06, 0.06), draw.uniform(0.0, 0.11)) for _ in range(count)]
-
-
-@GEOMETRIES
+@pytest.mark.parametrize("geometry", [DeltaGeometry(), ADJUSTED], ids=["usual", "adjusted"])
 def test_angles_their_slopes_and_turns_agree_with_the_kinematics(geometry: DeltaGeometry) -> None:
-    linkage, delta, step = Linkage(geometry), ScalarDelta(geometry), 1e-6
-    for place in places(50):
+    linkage, delta, step, draw = Linkage(geometry), ScalarDelta(geometry), 1e-6, random.Random(5)
+    for _ in range(50):
+        place = (draw.uniform(-0.06, 0.06), draw.uniform(-0.06, 0.06), draw.uniform(0.0, 0.11))
         here = linkage.linearise(*place)
         assert here is not None
         angles, rows, turns = here

@@ -6,8 +6,6 @@ from __future__ import annotations
 import json
 import math
 import signal
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -125,9 +123,3 @@ def test_as_a_process_it_prints_ready_and_ends_cleanly(
         assert process.out[:2] == [f"servo {ports / 'servo'}", f"board {ports / 'board'}"]
     assert list(ports.iterdir()) == []
     assert json.loads(record.read_text())["energised_shorts"] == 0
-
-
-@pytest.mark.rest
-def test_it_needs_no_ros() -> None:
-    program = "import sys; import deltacharger_bringup.cli.simulate; sys.exit('rclpy' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

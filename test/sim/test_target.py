@@ -46,11 +46,6 @@ def test_the_arm_snaps_in_from_three_millimetres_and_then_pulls_back(arm: ArmFac
     assert 0.0795 < command < 0.0825
 
 
-def test_stiffer_servos_resist_the_snap_longer(arm: ArmFactory) -> None:
-    gaps = [approach(arm(WorldParameters(servo=plain_servo(stiffness=k, friction=0.0))))[0] for k in (5.0, 10.0, 20.0)]
-    assert gaps == sorted(gaps, reverse=True)
-
-
 def test_the_magnets_release_at_1_6_ampere_per_servo_and_not_before(arm: ArmFactory) -> None:
     pulling = arm()
     pulling.dock()
@@ -63,13 +58,6 @@ def test_the_magnets_release_at_1_6_ampere_per_servo_and_not_before(arm: ArmFact
     assert strongest == pytest.approx(-1.56, abs=0.04)  # 60 N · 38.15 mm / 1.463 N·m/A
     pulling.run(0.5)
     assert pulling.world.mechanics.gap > 0.005
-
-
-def test_the_push_bound_is_too_low_to_release_the_magnets(arm: ArmFactory) -> None:
-    bounded = arm()
-    bounded.dock()
-    bounded.go((0.0, 0.0, 0.03), 2.0, bound=0.83)
-    assert bounded.world.mechanics.contact_force > 0.0
 
 
 def moved(arm: ArmFactory, friction: float, step: float, magnets: float = 60.0) -> tuple[Any, Any]:
@@ -132,13 +120,3 @@ def test_a_pure_rotation_affects_the_circuit_of_an_arm_at_rest(arm: ArmFactory) 
     charging.run(0.4)
     assert charging.world.snapshot().clearance < 0.0 < before
     assert charging.world.record.energised_shorts == 1
-
-
-def test_without_contact_nothing_is_dragged(arm: ArmFactory) -> None:
-    away = arm(WorldParameters(magnets=MagnetParameters(force=0.0)))
-    away.go((0.0, 0.0, 0.06))
-    before = away.world.mechanics.position
-    away.world.move_target(0.004, 0.0, 0.0, 0.2)
-    away.run(0.5)
-    assert away.world.mechanics.position == pytest.approx(before, abs=1e-6)
-    assert away.world.parameters.target.x == pytest.approx(0.004)

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,6 @@ import pytest
 
 from deltacharger_core.machine import POSITION_D_GAIN, POSITION_P_GAIN
 from deltacharger_core.servo_types import MX_64
-from deltacharger_driver.emulators.power import Outputs, PortParameters
 from deltacharger_driver.emulators.servo import OK
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.servos.registers import REGISTERS, TICK
@@ -66,30 +64,6 @@ class TestContact:
             touching.go((0.0, 0.0, 0.05))
         assert clearances[1] < clearances[0] < 0.0036  # without jitter 3.58 mm
 
-    def test_the_pads_receive_pose_and_total_force(self, arm: ArmFactory) -> None:
-        pads = Pads()
-        touching = arm(WorldParameters(target=TargetParameters(x=0.004, y=-0.003)), tactile=pads)
-        touching.go((0.0, 0.0, 0.06))
-        touching.world.taxels()
-        assert pads.asked[-1][1:] == (None, 0.0)
-        touching.go((0.0, 0.0, 0.086))
-        touching.world.taxels()
-        time, pose, force = pads.asked[-1]
-        assert time == touching.world.time
-        assert pose is not None
-        x, y, _ = touching.world.mechanics.position
-        assert pose[:2] == pytest.approx((0.004 - x, -0.002 - y))  # −3 mm and the jitter of docking 1
-        assert force == touching.world.mechanics.contact_force > 60.0 / (1.0 + 25.0 / 64.0)
-
-    def test_without_a_target_there_is_no_contact(self, arm: ArmFactory) -> None:
-        free = arm(WorldParameters(servo=plain_servo(friction=0.0), target=TargetParameters(present=False)))
-        free.go((0.0, 0.0, 0.1))
-        assert free.world.mechanics.position[2] == pytest.approx(0.1, abs=5e-4)
-        snapshot = free.world.snapshot()
-        assert (snapshot.contact_force, snapshot.misalignment) == (0.0, None)
-        assert math.isnan(snapshot.clearance)
-        assert not np.any(free.world.taxels()), "without a tactile model the pads read zero"
-
 
 class TestRecord:
     def test_a_good_docking_leaves_a_clean_record(self, arm: ArmFactory) -> None:
@@ -130,12 +104,6 @@ class TestRecord:
         assert (circuit.current, circuit.closed, torn.power.fault) == (0.0, False, 1)
         assert torn.world.record.parted_live == 1
 
-    def test_a_closed_contactor_is_live_without_current(self, arm: ArmFactory) -> None:
-        refused = arm(WorldParameters(port=PortParameters(accepts=False)))
-        refused.charge(1.0)
-        assert refused.world.circuit.current == 0.0
-        assert refused.world.record.energised == pytest.approx(0.9, abs=0.02)
-
     def test_torque_lost_before_the_current_and_current_broken_by_an_emergency_are_recorded(
         self, arm: ArmFactory
     ) -> None:
@@ -160,18 +128,6 @@ class TestServos:
         assert readings.std() == pytest.approx(0.008 + share * abs(true), rel=0.1)
         assert readings / MX_64.current_unit == pytest.approx(np.round(readings / MX_64.current_unit), abs=1e-9)
 
-    def test_positive_torque_turns_toward_the_target(self, arm: ArmFactory) -> None:
-        moving = arm(WorldParameters(gravity_y=0.0))
-        moving.go((0.0, 0.0, 0.02))
-        moving.aim((0.0, 0.0, 0.03))
-        moving.run(0.02)
-        for index in range(3):
-            _, rate, current, voltage, temperature = moving.world.servo(index)
-            assert rate > 0.0
-            assert current > 0.0
-            assert 11.5 < voltage <= 12.0
-            assert temperature == pytest.approx(28.0, abs=1.0)
-
     def test_play_lets_the_encoder_run_ahead_of_the_arm_by_at_most_half(self, arm: ArmFactory) -> None:
         loose = arm(WorldParameters(servo=plain_servo(friction=0.0, backlash=0.006), target=ALONE))
         tight = arm(WorldParameters(servo=plain_servo(friction=0.0), target=ALONE))
@@ -187,19 +143,6 @@ class TestServos:
         assert ahead[2] == pytest.approx(0.003)
         assert mechanics.torques == pytest.approx(tight.world.mechanics.torques, abs=2e-3)
         assert tight.world.mechanics.slack == (0.0, 0.0, 0.0)
-
-    def test_a_loaded_servo_warms_and_a_resting_one_cools(
-        self, arm: ArmFactory, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setattr("deltacharger_sim.world.HEATING_TIME", 10.0)
-        hot = arm(WorldParameters(servo=plain_servo()), step=0.1)
-        hot.dock(0.02)
-        hot.run(20.0)
-        warm = [hot.world.servo(index)[4] for index in range(3)]
-        assert min(warm) > 28.5
-        hot.release()
-        hot.run(20.0)
-        assert max(hot.world.servo(index)[4] for index in range(3)) < min(warm)
 
     def test_the_same_seed_gives_the_same_run(self) -> None:
         def readings(seed: int) -> list[float]:
@@ -248,43 +191,6 @@ class TestSharedWorld:
         passed = shared.world.time
         assert shared.after(-0.05) == passed
 
-    def test_both_plants_act_on_one_world(self, arm: ArmFactory) -> None:
-        shared = Shared()
-        plant = shared.plant
-
-        def hold(z: float, seconds: float) -> None:
-            for index, angle in enumerate(arm.delta.inverse(0.0, 0.0, z)):  # type: ignore[attr-defined]
-                plant.command_servo(index, True, angle, 1.5)
-            for _ in range(round(seconds / 0.02)):
-                shared.after(0.02)
-
-        hold(0.07, 1.0)
-        assert plant.probe()[0] == math.inf
-        hold(0.087, 1.0)
-        assert plant.probe()[1] == pytest.approx(24.0)
-        plant.drive(Outputs(contactor=True, current=10.0, voltage=29.4))
-        hold(0.087, 0.2)
-        reading = plant.read_power()
-        assert reading.closed
-        assert reading.current == pytest.approx(10.0)
-        assert reading.target > 24.0
-        plant.drive(Outputs())
-        assert not plant.read_power().closed
-        assert [pad.shape for pad in plant.read_taxels()] == [(10, 10)] * 2
-
-    def test_many_threads_share_it(self) -> None:
-        plant = SharedWorld(World(WorldParameters()))
-
-        def ask(index: int) -> None:
-            for _ in range(100):
-                plant.command_servo(index, True, -0.6, 1.0)
-                assert all(map(math.isfinite, plant.read_servo(index)))
-                plant.read_power()
-                plant.read_taxels()
-
-        with ThreadPoolExecutor(3) as threads:
-            list(threads.map(ask, range(3), timeout=20.0))
-
 
 def test_a_refused_move_leaves_the_target_in_place() -> None:
     world = World(WorldParameters())
@@ -313,14 +219,11 @@ def settled(arm: Any, *gains: float) -> Any:
 
 
 class TestGains:
-    @pytest.mark.parametrize("servo", [{}, {"backlash": 0.008}], ids=str)
-    def test_an_equal_gain_of_all_servos_equals_another_stiffness(
-        self, arm: ArmFactory, servo: dict[str, float]
-    ) -> None:
+    def test_an_equal_gain_of_all_servos_equals_another_stiffness(self, arm: ArmFactory) -> None:
         """In a strike and a press on the target."""
         found: list[tuple[float, ...]] = []
         for stiffness, gain in ((10.0, 1.5), (15.0, 1.0)):
-            struck = arm(WorldParameters(servo=plain_servo(stiffness=stiffness, current_noise=0.0, **servo)))
+            struck = arm(WorldParameters(servo=plain_servo(stiffness=stiffness, current_noise=0.0)))
             for z in (0.070, 0.088, 0.060):
                 for index, angle in enumerate(arm.delta.inverse(0.0, 0.002, z)):  # type: ignore[attr-defined]
                     struck.world.command(index, True, angle, 4.1, gain)
