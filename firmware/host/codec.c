@@ -7,12 +7,6 @@
  *   c  nothing                                          counters            -> u32 x 6, i16
  *   e  u8 type, u16 sequence, u64 time, u8 flags, u8 format, payload        -> bytes on the wire
  *   s  200 f32                                          samples             -> payload
- *   p  4 f32, u8 closed, u8 fault                       POWER               -> payload
- *   h  u32 boot id, 2 f32, u8 minor, u8 steps up        HELLO               -> payload
- *   l  20 bytes of CONTACTOR                            limits of a closing -> u8 good, u8 dead, 2 f32, 2 u32
- *   i  5 bytes of CONTACTOR                             largest current     -> u8 good, f32
- *   a  u8 type, u8 error, u16 sequence                  ACK                 -> payload
- *   u  COBS without delimiters                          unstuff             -> u8 good, bytes
  */
 #include <stdio.h>
 #include <stdlib.h>
@@ -96,31 +90,8 @@ static size_t counters(void)
     return 26;
 }
 
-static size_t unstuff(size_t size)
-{
-    const size_t length = dc_cobs_decode(body, size);
-    answer[0] = length != DC_COBS_BAD;
-    if (length == DC_COBS_BAD)
-        return 1;
-    memcpy(answer + 1, body, length);
-    return 1 + length;
-}
-
-static size_t limits(void)
-{
-    dc_limits limits = {0};
-    answer[0] = dc_get_close(body, &limits);
-    answer[1] = limits.dead;
-    dc_put_f32(answer + 2, limits.current);
-    dc_put_f32(answer + 6, limits.voltage);
-    dc_put_u32(answer + 10, limits.start_us);
-    dc_put_u32(answer + 14, limits.gap_us);
-    return 18;
-}
-
 static size_t serve(int operation, size_t size)
 {
-    float current = 0.0f;
     switch (operation) {
     case 'r':
         new_decoder(dc_get_u16(body));
@@ -133,22 +104,6 @@ static size_t serve(int operation, size_t size)
         return encode(size);
     case 's':
         return samples();
-    case 'p':
-        return dc_put_power(answer, dc_get_f32(body), dc_get_f32(body + 4), dc_get_f32(body + 8), dc_get_f32(body + 12),
-                            body[16] != 0, body[17]);
-    case 'h':
-        return dc_put_hello(answer, body[12], dc_get_u32(body), dc_get_f32(body + 4), body[13] != 0,
-                            dc_get_f32(body + 8));
-    case 'l':
-        return limits();
-    case 'i':
-        answer[0] = dc_get_limit(body, &current);
-        dc_put_f32(answer + 1, current);
-        return 5;
-    case 'a':
-        return dc_put_ack(answer, body[0], body[1], dc_get_u16(body + 2));
-    case 'u':
-        return unstuff(size);
     default:
         fprintf(stderr, "unknown operation %d\n", operation);
         exit(2);

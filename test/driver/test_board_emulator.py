@@ -1,36 +1,271 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emulated board against docs/board-link.md: packets, frames, boot. test_board_emulator_*.py have the rest."""
+"""The emulated board against docs/board-link.md: boot, frames, tare, probe, interlocks, heartbeat, latched faults."""
 
 from __future__ import annotations
 
 import math
 import struct
 
+import numpy as np
+import numpy.typing as npt
 import pytest
 
-from deltacharger_driver.board.protocol import PacketType, Power, decode_hello, decode_power
+from deltacharger_driver.board.protocol import (
+    BoardFault,
+    PacketType,
+    Power,
+    decode_hello,
+    decode_power,
+    decode_samples,
+    encode_close,
+    encode_limit,
+)
+from deltacharger_driver.emulators.power import PortParameters, StageParameters, TargetPort
+from deltacharger_driver.packets import Packet
 
-from .board_bench import Bench, acks, tactile
+from .board_bench import CLOSE, LIMITS, Bench, acks, tactile
 
-COMMANDS = [
-    *[(type, b"") for type in (PacketType.HELLO, PacketType.START, PacketType.STOP, PacketType.TARE, PacketType.PROBE)],
-    (PacketType.RATE, struct.pack("<f", 60.0)),
-    (PacketType.CONTACTOR, b"\0"),
-    (PacketType.CONTACTOR, b"\1"),
-]
+PROBE, CONTACTOR = PacketType.PROBE, PacketType.CONTACTOR
+OPEN, CLEAR_WELD = b"\0", b"\2"
 
 
-@pytest.mark.parametrize(("flags", "format"), [(1, 0), (2, 0), (128, 0), (0, 1), (0, 2), (0, 200), (3, 3)])
-def test_a_packet_with_flags_or_a_format_is_refused_as_a_bad_payload(flags: int, format: int) -> None:
+def answers(packets: list[Packet]) -> list[tuple[int, int, int]]:
+    """Return type, error and sequence of each ACK."""
+    return [(ack.type, ack.error, ack.sequence) for ack in acks(packets)]
+
+
+def test_a_probe_is_answered_when_measured_and_no_other_runs_meanwhile() -> None:
     bench = Bench()
-    for type, payload in COMMANDS:
-        (ack,) = acks(bench.send(type, payload, flags=flags, format=format))
-        assert (ack.type, ack.error, ack.sequence) == (type, 1, bench.sequence)
-    assert bench.send(PacketType.PING, b"x", flags=flags, format=format) == []
-    assert bench.send(PacketType.HEARTBEAT, flags=flags, format=format) == []
-    assert {p.type for p in bench.run(0.5)} == {PacketType.POWER}
-    (ack,) = acks(bench.send(PacketType.TACTILE, flags=flags, format=format))
-    assert ack.error == 2  # of an unknown type nothing else is checked
+    assert acks(bench.send(PROBE) + bench.run(0.14)) == []
+    first = bench.sequence
+    assert bench.error(PROBE) == 4
+    (ack,) = acks(bench.run(0.1))
+    assert (ack.type, ack.error, ack.sequence) == (PROBE, 0, first)
+    ohm, volt = struct.unpack("<ff", ack.data)
+    assert (math.isnan(ohm), volt) == (True, 24.0)
+
+
+@pytest.mark.parametrize(("gap", "survives"), [(0.090, True), (0.100, False), (0.15, False)])
+def test_a_gap_between_heartbeats_of_90_ms_is_survived_and_one_of_100_ms_is_not(gap: float, survives: bool) -> None:
+    bench = Bench().closed()
+    bench.beating = False
+    for _ in range(20):
+        bench.send(PacketType.HEARTBEAT)
+        bench.run(gap)
+    assert bench.board.contactor_commanded == survives
+    assert bench.board.fault == (BoardFault.NONE if survives else BoardFault.HEARTBEAT_LOST)
+
+
+@pytest.mark.parametrize("fault", [1, 2, 4, 5, 6, 9])
+def test_a_detected_fault_opens_at_once_and_stays_until_the_next_opening_command(fault: int) -> None:
+    bench = Bench().closed()
+    bench.plant.detected = fault
+    bench.run(0.02)
+    assert not bench.plant.read_power().closed
+    bench.plant.detected = 0
+    bench.run(0.5)
+    assert bench.power().fault == fault
+    assert bench.error(PROBE) == bench.close() == 3
+    bench.send(CONTACTOR, OPEN)
+    bench.run(0.1)
+    assert bench.power().fault == 0
+    assert bench.close() == 3  # the opening voided the probe
+    bench.closed()
+
+
+def test_a_weld_stays_over_openings_and_boots_until_a_person_clears_it() -> None:
+    bench = Bench().closed()
+    bench.plant.welded = True
+    bench.send(CONTACTOR, OPEN)
+    bench.run(0.2)
+    assert bench.error(CONTACTOR, CLEAR_WELD) == 3  # it is closed
+    bench.plant.welded, bench.plant.resistance = False, math.inf
+    for forget in (lambda: bench.send(CONTACTOR, OPEN), bench.board.reboot):
+        forget()
+        bench.run(0.2)
+        assert bench.power().fault == BoardFault.CONTACTOR_WELDED
+        assert bench.error(PROBE) == bench.close() == 3
+    for live in ({"current": 0.5}, {"current": -0.5}, {"current": math.nan}, {"target": 5.0}, {"target": -5.0}):
+        bench.plant.measured = live
+        bench.run(0.01)
+        assert bench.error(CONTACTOR, CLEAR_WELD) == 3
+    bench.plant.measured = {"target": 4.9}
+    bench.run(0.01)
+    assert bench.error(CONTACTOR, CLEAR_WELD) == 0
+    bench.board.reboot()
+    bench.run(0.2)
+    assert bench.power().fault == 0
+
+
+def test_a_weld_replaces_every_fault_and_none_replaces_it() -> None:
+    bench = Bench().closed()
+    bench.plant.welded, bench.plant.detected = True, BoardFault.OVER_CURRENT
+    bench.run(0.03)
+    assert bench.board.fault == BoardFault.OVER_CURRENT
+    bench.run(0.12)
+    bench.board.trip(BoardFault.SHORT_CIRCUIT)
+    assert bench.board.fault == BoardFault.CONTACTOR_WELDED
+
+
+def test_clearing_a_weld_clears_nothing_else() -> None:
+    bench = Bench().closed()
+    assert bench.error(CONTACTOR, CLEAR_WELD) == 4
+    assert bench.board.contactor_commanded
+    bench.board.trip(BoardFault.OVER_CURRENT)
+    bench.plant.resistance = math.inf
+    bench.run(0.1)
+    assert bench.error(CONTACTOR, CLEAR_WELD) == 4
+    assert bench.board.fault == BoardFault.OVER_CURRENT
+    bench.send(CONTACTOR, OPEN)
+    assert bench.error(CONTACTOR, CLEAR_WELD) == 0  # there is none: an answer that was lost is asked for again
+
+
+@pytest.mark.parametrize(
+    ("port", "dead"),
+    [
+        ({"voltage": 0.0, "bleeder": 0.05}, False),
+        ({"voltage": 0.0, "bleeder": 0.05}, True),
+        ({"voltage": -24.0}, False),
+        ({"voltage": -24.0}, True),
+        ({"diode": 0.4}, False),
+        ({"voltage": 0.0, "capacitor": 0.0022}, False),
+    ],
+)
+def test_a_bad_probe_forbids_a_close_but_sets_no_fault(port: dict[str, float], dead: bool) -> None:
+    bench = Bench()
+    bench.beating, bench.plant.resistance, bench.plant.port = True, 0.01, TargetPort(PortParameters(**port))
+    bench.probe()
+    assert bench.error(CONTACTOR, encode_close(LIMITS._replace(dead=dead))) == 3
+    bench.run(0.2)
+    assert (bench.power().contactor_closed, bench.power().fault) == (False, 0)
+
+
+def test_an_opening_ends_a_running_probe_even_if_another_follows_it() -> None:
+    bench = Bench()
+    bench.send(PROBE)
+    first = bench.sequence
+    assert set(answers(bench.send(CONTACTOR, OPEN))) == {(CONTACTOR, 0, first + 1), (PROBE, 4, first)}
+    assert acks(bench.run(0.3)) == []
+    bench.send(PROBE)
+    first = bench.sequence
+    bench.run(0.05)
+    packets = bench.send_together((CONTACTOR, OPEN), (PROBE, b""))
+    assert answers(packets) == [(CONTACTOR, 0, first + 1), (PROBE, 4, first)]
+    assert answers(bench.run(0.3)) == [(PROBE, 0, first + 2)]
+
+
+def test_a_close_ends_a_running_probe_before_the_battery_is_connected() -> None:
+    bench = Bench()
+    bench.beating = True
+    assert bench.probe().error == 0
+    bench.send(PROBE)
+    probing = bench.sequence
+    assert answers(bench.send(CONTACTOR, CLOSE)) == [(CONTACTOR, 0, probing + 1), (PROBE, 4, probing)]
+    assert acks(bench.run(0.4)) == []
+    assert bench.power().contactor_closed
+
+
+def charging(port: dict[str, float], **limits: float) -> Bench:
+    """A board that closes on this port within these limits."""
+    bench = Bench()
+    bench.beating, bench.plant.resistance, bench.plant.port = True, 0.01, TargetPort(PortParameters(**port))
+    bench.probe()
+    assert bench.error(CONTACTOR, encode_close(LIMITS._replace(**limits))) == 0
+    return bench
+
+
+@pytest.mark.parametrize(("current", "voltage", "flows", "shown"), [(4.0, 29.4, 4.0, 24.64), (18.0, 25.0, 6.25, 25.0)])
+def test_current_and_voltage_stay_within_the_limits_of_the_closing(
+    current: float, voltage: float, flows: float, shown: float
+) -> None:
+    bench = charging({}, current=current, voltage=voltage)
+    bench.run(1.0)
+    assert bench.power().charge_current == pytest.approx(flows, rel=0.01)
+    assert bench.power().target_voltage == pytest.approx(shown, abs=0.01)
+    assert bench.error(CONTACTOR, encode_limit(2.0)) == 0
+    bench.run(0.1)
+    assert bench.power().charge_current == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(("gap", "survives"), [(0.15, True), (0.3, False)])
+def test_a_gap_is_tolerated_for_its_time_and_current_ramps_again_from_one_ampere(gap: float, survives: bool) -> None:
+    port = {"gap_time": gap, "gap_period": 0.5, "gaps": 1}
+    bench = charging(port, current=10.0, gap_time=0.2)
+    bench.run(0.55)
+    assert bench.power().charge_current > 9.0
+    packets = bench.run(gap + 0.15)
+    powers = [decode_power(p.payload) for p in packets if p.type == PacketType.POWER]
+    assert powers[-1].contactor_closed == survives
+    assert powers[-1].fault == (0 if survives else BoardFault.NO_CHARGE_CURRENT)
+    assert min(p.least_current for p in powers) == 0.0
+    assert not survives or any(0.5 < p.charge_current < 9.0 for p in powers)
+
+
+def test_reverse_current_is_tolerated_for_a_moment_unless_it_is_large() -> None:
+    for current, seconds, fault in ((-0.6, 0.08, 0), (-0.6, 0.13, 6), (-5.1, 0.02, 6)):
+        bench = charging({}, current=5.0)
+        bench.run(0.5)
+        bench.plant.measured = {"current": current}
+        bench.run(seconds)
+        assert bench.board.fault == fault
+
+
+def test_a_voltage_above_the_limit_trips_after_a_tenth_of_a_second() -> None:
+    for voltage, seconds, fault in ((29.65, 1.0, 0), (29.8, 0.08, 0), (29.8, 0.15, 5)):
+        bench = charging({}, current=5.0)
+        bench.run(0.5)
+        bench.plant.measured = {"target": voltage}
+        bench.run(seconds)
+        assert bench.board.fault == fault
+
+
+@pytest.mark.parametrize(
+    ("port", "start", "closed", "fault"),
+    [
+        ({"diode": 0.4}, 3.0, True, 0),
+        ({"wake_voltage": 15.0, "wake_time": 1.5}, 3.0, True, 0),
+        ({"wake_voltage": 15.0, "wake_time": 3.5}, 3.0, False, 1),
+        ({"voltage": 0.0, "capacitor": 0.01, "power": 60.0, "wake_voltage": 18.0}, 3.0, True, 0),
+        ({"voltage": 0.0, "bleeder": 1.5}, 1.0, False, 2),
+    ],
+)
+def test_a_dead_port_gets_half_an_ampere_until_it_takes_current(
+    port: dict[str, float], start: float, closed: bool, fault: int
+) -> None:
+    bench = charging(port, dead=True, current=5.0, start_time=start)
+    powers = [decode_power(p.payload) for p in bench.run(0.2) if p.type == PacketType.POWER]
+    assert max(p.charge_current for p in powers) <= 0.5 + 1e-6
+    bench.run(4.0)
+    assert (bench.power().contactor_closed, bench.power().fault) == (closed, fault)
+    assert not closed or bench.power().charge_current > 1.0
+
+
+def test_a_stage_that_steps_down_refuses_a_target_near_its_battery() -> None:
+    for target, closed in ((25.4, True), (25.6, False)):
+        bench = Bench(hooks={"stage": StageParameters(steps_up=False)})
+        bench.beating, bench.plant.resistance, bench.plant.target = True, 0.01, target
+        bench.probe()
+        assert bench.close() == 0
+        bench.run(0.3)
+        assert (bench.power().contactor_closed, bench.power().fault) == (closed, 0 if closed else 5)
+
+
+def test_a_constant_voltage_above_the_limit_is_refused() -> None:
+    for voltage, error in ((29.49, 0), (29.51, 3)):
+        bench = Bench(hooks={"stage": StageParameters(stage_voltage=voltage)})
+        bench.beating = True
+        bench.probe()
+        assert bench.close() == error
+
+
+def test_the_output_is_limited_so_that_the_input_stays_within_its_fuse() -> None:
+    bench = Bench(hooks={"stage": StageParameters(input_fuse=10.0)})
+    bench.beating, bench.plant.resistance = True, 0.01
+    bench.probe()
+    bench.error(CONTACTOR, encode_close(LIMITS._replace(current=18.0)))
+    bench.run(1.0)
+    power = bench.power()
+    assert power.charge_current * power.target_voltage == pytest.approx(0.9 * 10.0 * 26.0, rel=0.02)
 
 
 def test_a_boot_resets_everything() -> None:
@@ -60,3 +295,48 @@ def test_a_boot_resets_everything() -> None:
     bench.send(PacketType.START)
     frame = tactile(bench.run(0.1))[0]
     assert (frame.sequence, frame.flags) == (0, 0)
+
+
+def test_a_frame_has_the_force_of_every_taxel() -> None:
+    bench = Bench(offset=0.0, noise=0.0)
+    bench.plant.left[0, 0] = 5.0
+    bench.plant.right[9, 9] = 50.0
+    bench.board.set_dead(1, 0, 9)
+    bench.send(PacketType.START)
+    packet = tactile(bench.run(0.1))[-1]
+    left, right = decode_samples(packet.payload)
+    assert left[0, 0] == pytest.approx(5.0, abs=0.03)
+    assert right[9, 9] == 10.0
+    assert np.argwhere(np.isnan(right)).tolist() == [[0, 9]]
+    assert not np.isnan(left).any()
+
+
+def test_a_tare_is_refused_in_contact_even_if_contact_begins_during_it() -> None:
+    bench = Bench()
+    bench.plant.press(8.0)
+    assert bench.error(PacketType.TARE) == 4
+    bench.plant.press(0.0)
+    bench.send(PacketType.TARE)
+    bench.run(0.01)
+    bench.plant.press(8.0)
+    (ack,) = acks(bench.run(0.05))
+    assert (ack.type, ack.error) == (PacketType.TARE, 4)
+    bench.plant.press(0.0)
+    assert bench.error(PacketType.TARE, wait=0.05) == 0
+
+
+def frame(bench: Bench) -> npt.NDArray[np.float32]:
+    """Forces of a new frame, (2, 10, 10) N."""
+    bench.send(PacketType.START)
+    packet = tactile(bench.run(0.1))[-1]
+    return np.stack(decode_samples(packet.payload))
+
+
+def test_a_taxel_dead_during_a_tare_stays_unknown_until_the_next() -> None:
+    bench = Bench(offset=0.5, noise=0.0)
+    bench.board.set_dead(1, 7, 2)
+    assert bench.error(PacketType.TARE, wait=0.05) == 0
+    bench.board.set_dead(1, 7, 2, False)
+    assert np.argwhere(np.isnan(frame(bench))).tolist() == [[1, 7, 2]]
+    assert bench.error(PacketType.TARE, wait=0.05) == 0
+    assert frame(bench) == pytest.approx(0.0, abs=0.003)

@@ -104,23 +104,6 @@ def test_a_command_with_a_lost_answer_is_repeated_and_a_repeated_close_succeeds(
         link.contactor(True, LIMITS)
 
 
-def test_frames_of_a_rebooted_board_keep_rising_and_are_untared(rig: Rig, link: BoardLink) -> None:
-    link.tare()
-    link.start()
-    wait_until(lambda: len(rig.frames) >= 10)
-    rig.board.reboot()
-    wait_until(lambda: rig.boots)
-    before = len(rig.frames)
-    link.start()
-    wait_until(lambda: len(rig.frames) >= before + 10)
-    old, new = rig.frames[before - 1], rig.frames[before]
-    assert new.sequence == old.sequence + 1
-    assert new.device_time_us < old.device_time_us
-    assert (old.tared, new.tared) == (True, False)
-    assert old.time < new.time <= time.monotonic()
-    assert link.counters.reboots == 1
-
-
 @pytest.mark.parametrize("announced", [True, False], ids=["HELLO", "HELLO lost"])
 def test_a_board_that_boots_while_its_port_opens_dates_no_frame_back(announced: bool) -> None:
     board, decoder, frames = BoardEmulator(BenchPlant(), seed=3), PacketDecoder(), list[TactileSample]()
@@ -187,25 +170,6 @@ def test_a_reboot_and_an_unplugging_end_every_command_and_replugging_recovers(ri
     wait_until(lambda: len(rig.frames) > before + 5)
     assert rig.frames[-1].sequence > last
     assert len(rig.boots) == 1
-
-
-def test_a_callback_may_fail_but_not_ask(tmp_path: Path) -> None:
-    errors: list[str] = []
-
-    def ask(sample: PowerSample) -> None:
-        try:
-            link.start()
-        except RuntimeError as error:
-            errors.append(str(error))
-            raise
-
-    link = BoardLink("", on_power=ask)
-    with PseudoTerminal(BoardEmulator(BenchPlant())) as cable:
-        link.port = cable.path
-        with link:
-            wait_until(lambda: link.counters.callback_errors >= 2)
-            link.ping()
-    assert "another thread" in errors[0]
 
 
 def hello(*head: int, version: int = 1) -> bytes:

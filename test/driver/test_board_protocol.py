@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The packets of docs/board-link.md: golden bytes, headers, COBS, and recovery from wire faults."""
+"""The packets of docs/board-link.md: golden bytes, headers, COBS, recovery from wire faults; times and numbers."""
 
 from __future__ import annotations
 
 import contextlib
 import itertools
 import math
+import random
 import struct
 import zlib
 
@@ -15,6 +16,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from deltacharger_core.machine import ChargeLimits
+from deltacharger_core.real_time import RateMeter
 from deltacharger_driver.board import protocol
 from deltacharger_driver.board.protocol import (
     FULL_SCALE,
@@ -24,8 +26,10 @@ from deltacharger_driver.board.protocol import (
     Power,
     check_header,
 )
-from deltacharger_driver.board.receiver import BoardReceiver, BoardRequests
+from deltacharger_driver.board.receiver import BoardReceiver, BoardRequests, DeviceClock, SequenceUnwrapper
 from deltacharger_driver.packets import CobsError, Packet, PacketDecoder, cobs_decode, cobs_encode, encode_packet
+
+from .virtual_line import Clock
 
 # Made with an independent encoder (bitwise CRC, byte-by-byte COBS).
 GOLDEN = [
@@ -200,3 +204,55 @@ def test_an_impossible_packet_is_only_counted() -> None:
     receiver.take_packet(Packet(PacketType.POWER, POWER, 0, 5_100_000), 100.1)
     assert powers[0].time == pytest.approx(100.1)
     assert receiver.snapshot().lost_power == 0
+
+
+@pytest.mark.parametrize("drift", [0.0, 100e-6, -100e-6])
+def test_the_offset_is_found_under_jitter_and_drift(drift: float) -> None:
+    clock, delay = DeviceClock(), random.Random(1)
+    for number in range(12 * 120):
+        true = number / 120.0
+        received = true + 1234.5 + delay.expovariate(1.0 / 0.002)
+        stamp = clock.update(true * (1.0 + drift), received)
+        assert stamp <= received
+        assert number < 600 or stamp == pytest.approx(true + 1234.5, abs=1e-3)
+    clock.reset()
+    assert clock.update(0.0, 6.5) == 6.5
+
+
+def test_a_stalled_host_does_not_move_the_clock() -> None:
+    clock = DeviceClock()
+    for number in range(1200):
+        late = 0.3 if 600 <= number < 640 else 0.0  # packets that waited in the kernel's buffer
+        stamp = clock.update(number / 120.0, number / 120.0 + 50.0 + late)
+        assert stamp == pytest.approx(number / 120.0 + 50.0, abs=1e-4)
+
+
+def test_a_repeated_packet_is_not_a_frame_and_numbers_rise_beyond_16_bits() -> None:
+    counter = SequenceUnwrapper()
+    assert [counter.update(number % 65536) for number in range(0, 200_000, 30_000)] == list(range(0, 200_000, 30_000))
+    counter = SequenceUnwrapper()
+    assert [counter.update(n) for n in (5, 5, 6)] == [5, None, 6]
+    assert (counter.lost, counter.duplicates) == (0, 1)
+
+
+def test_a_reboot_continues_above_and_counts_missed_packets() -> None:
+    counter = SequenceUnwrapper()
+    counter.update(100)
+    counter.reboot()
+    assert [counter.update(n) for n in (2, 3)] == [103, 104]
+    assert counter.lost == 2
+
+
+def test_the_rate_counts_since_the_last_call() -> None:
+    clock = Clock()
+    meter = RateMeter(clock)
+    for number in range(50):
+        meter.count(late=number % 25 == 0)
+    clock.now += 0.5
+    assert meter.rate() == pytest.approx(100.0)
+    clock.now += 2.0
+    assert meter.rate() == 0.0
+    meter.count()
+    clock.now += 0.1
+    assert meter.rate() == pytest.approx(10.0)
+    assert meter.late == 2  # since the start

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the driver publishes is what it measured, field by field and message by message."""
+"""What the driver publishes is what it measured, field by field and message by message; batteries too."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ import pytest
 from rclpy.clock import Clock, ClockType
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import BatteryState
 
 from deltacharger_driver.board.protocol import Power, PowerSample, TactileSample
-from deltacharger_driver.board.tactile_node import SamplePublishers
+from deltacharger_driver.board.tactile_node import SamplePublishers, own_battery, target_battery
 from deltacharger_driver.servos.bus import ServoReport
 from deltacharger_driver.servos.servo_node import StatePublishers
 from deltacharger_ros.messages import seconds
@@ -96,3 +97,56 @@ def test_tactile_frame_and_charger_power_show_each_sample(node: Any) -> None:
         )
         assert (message.charge_current_least, message.probe_resistance, message.probe_age) == (-0.5, 470.0, math.inf)
         assert (message.stage_steps_up, message.stage_voltage) == (not tared, 29.5)
+
+
+UNKNOWN = BatteryState.POWER_SUPPLY_STATUS_UNKNOWN
+CHARGING = BatteryState.POWER_SUPPLY_STATUS_CHARGING
+DISCHARGING = BatteryState.POWER_SUPPLY_STATUS_DISCHARGING
+NOT_CHARGING = BatteryState.POWER_SUPPLY_STATUS_NOT_CHARGING
+NAN = math.nan
+
+
+def sample(battery: float = 26.0, target: float = 24.0, current: float = 0.0, closed: bool = False) -> PowerSample:
+    return PowerSample(1.0, Power(battery, target, current, closed, 0))
+
+
+@pytest.mark.parametrize(
+    ("power", "own", "target"),
+    [
+        (None, UNKNOWN, UNKNOWN),
+        (sample(target=NAN), UNKNOWN, UNKNOWN),
+        (sample(), UNKNOWN, NOT_CHARGING),
+        (sample(current=10.0, closed=True), DISCHARGING, CHARGING),
+        (sample(current=0.2, closed=True), UNKNOWN, NOT_CHARGING),
+        (sample(current=-3.0, closed=True), UNKNOWN, DISCHARGING),
+        (sample(current=10.0), DISCHARGING, CHARGING),
+        (sample(current=NAN, closed=True), UNKNOWN, UNKNOWN),
+        (sample(battery=NAN, current=10.0, closed=True), UNKNOWN, CHARGING),
+    ],
+)
+def test_the_status_follows_the_measured_current(power: PowerSample | None, own: int, target: int) -> None:
+    assert own_battery(power).power_supply_status == own
+    assert target_battery(power).power_supply_status == target
+
+
+@pytest.mark.parametrize(
+    ("volts", "present"), [(NAN, False), (0.0, False), (5.0, False), (10.0, True), (-24.0, True), (29.8, True)]
+)
+def test_a_battery_is_present_above_the_voltage_of_a_probe(volts: float, present: bool) -> None:
+    for battery in (own_battery(sample(battery=volts)), target_battery(sample(target=volts))):
+        assert battery.present == present
+        assert battery.voltage == pytest.approx(volts, nan_ok=True)
+
+
+@pytest.mark.parametrize("power", [None, sample(), sample(current=10.0, closed=True)])
+def test_unmeasured_values_are_unknown(power: PowerSample | None) -> None:
+    for battery in (own_battery(power), target_battery(power)):
+        for name in ("temperature", "charge", "capacity", "design_capacity", "percentage"):
+            assert math.isnan(getattr(battery, name)), name
+        assert battery.power_supply_health == battery.power_supply_technology == UNKNOWN
+    assert math.isnan(own_battery(power).current), "it feeds servos and computer, too"
+
+
+def test_the_current_of_the_target_is_positive_into_it() -> None:
+    assert target_battery(sample(current=10.0, closed=True)).current == 10.0
+    assert math.isnan(target_battery(sample(target=NAN, current=0.0)).current)

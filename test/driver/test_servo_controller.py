@@ -13,7 +13,6 @@ from deltacharger_core.servo_types import MX_64
 from deltacharger_driver.errors import TrajectoryRefused
 from deltacharger_driver.servos.bus import ServoPhase, ServoReport
 from deltacharger_driver.servos.controller import OPENING_TIME
-from deltacharger_driver.servos.motion import STOP_TIME
 from deltacharger_driver.servos.registers import TICK, WATCHDOG
 
 from ..waiting import host
@@ -53,37 +52,6 @@ def test_an_order_that_waited_too_long_is_refused_with_its_age(rig: Rig) -> None
     rig.cycle()
     assert waits.wait(0.0)
     assert waits.success
-
-
-@pytest.mark.parametrize(
-    ("fail", "reason"),
-    [
-        (lambda rig: rig.emulator.faults.missing.add(2), "servo 2 does not answer"),
-        (lambda rig: rig.emulator.servo(2).raise_error(OVERLOAD), "overload"),
-        (lambda rig: rig.emulator.servo(2).reboot(rig.clock()), "servo 2"),
-        (lambda rig: rig.arm.temperature.__setitem__(1, 85.0), "overheating"),
-        (lambda rig: rig.arm.voltage.__setitem__(1, 9.0), "voltage"),
-    ],
-    ids=["missing", "overload", "restarted", "hot", "weak"],
-)
-def test_a_fault_of_one_servo_stops_all(rig: Rig, fail: Callable[[Rig], object], reason: str) -> None:
-    moving(rig)
-    assert not rig.requests
-    fail(rig)
-    rig.until(lambda report: report.phase is ServoPhase.STOPPING)
-    assert rig.requests  # at once, not only when torque goes off
-    begin = rig.clock()
-    stopped = rig.references()[0]
-    assert stopped == pytest.approx(rig.arm.angles[0], abs=0.1)
-    assert rig.arm.torque_enabled()[0]
-    with pytest.raises(TrajectoryRefused):
-        rig.send((1.0, START))
-    assert not rig.ask("torque_on").success
-    rig.until(lambda report: report.phase is ServoPhase.OFF)
-    assert STOP_TIME - 0.1 <= rig.clock() - begin <= STOP_TIME + 0.5
-    assert rig.references()[0] == pytest.approx(stopped, abs=TICK)
-    assert rig.arm.torque_enabled()[0] is rig.arm.torque_enabled()[2] is False
-    assert any(severity == "error" and reason in sentence for severity, sentence in rig.events)
 
 
 def test_a_single_lost_reply_does_not_stop_and_keeps_the_last_values(rig: Rig) -> None:
@@ -132,26 +100,6 @@ def test_a_servo_that_restarts_on_its_own_is_configured_again_without_torque(rig
     assert any("servo 3" in sentence for _, sentence in rig.events)
 
 
-def test_a_vanished_port_opens_the_contactor_and_is_back_soon_after_its_return(rig: Rig) -> None:
-    rig.torque_on()
-    rig.line.stop()
-    report = rig.until(lambda report: report.phase is ServoPhase.DISCONNECTED and report)
-    assert len(rig.requests) == 1
-    assert not any(report.valid)
-    assert all(map(math.isnan, report.angle))
-    assert not rig.ask("torque_on").success
-    away = rig.clock() + 2.0  # longer than the longest pause between two attempts
-    report = rig.until(lambda report: rig.clock() > away and report)
-    assert "no such port" in report.faults[0]
-    begin = rig.clock()
-    rig.line.start()
-    rig.until(lambda report: report.phase is ServoPhase.OFF and all(report.valid))
-    assert rig.clock() - begin < 2.0
-    assert rig.controller.reconnections == 1
-    assert rig.arm.torque_enabled() == [False] * 3
-    rig.torque_on()
-
-
 def test_closing_opens_the_contactor_and_switches_torque_off_whatever_happens(rig: Rig) -> None:
     rig.delay = 0.1
     rig.torque_on()
@@ -197,25 +145,6 @@ def test_a_contactor_that_stays_closed_does_not_keep_the_torque_on(rig: Rig) -> 
 
 def shifted(by: float) -> tuple[float, ...]:
     return tuple(angle + by for angle in START)
-
-
-def test_a_trajectory_is_followed_in_time_and_takes_effect_in_the_next_cycle(rig: Rig) -> None:
-    rig.torque_on()
-    rig.send((0.0, shifted(0.1)))
-    rig.cycle()
-    assert rig.references() == pytest.approx(list(shifted(0.1)), abs=TICK)
-    begin = rig.clock()
-    rig.send((0.5, START))
-    middle = []
-
-    def done(report: ServoReport) -> bool:
-        middle.append(rig.references()[0])
-        return rig.references() == pytest.approx(list(START), abs=TICK)
-
-    rig.until(done)
-    assert 0.45 <= rig.clock() - begin <= 1.5
-    assert middle == sorted(middle, reverse=True)
-    assert len(set(middle)) > 15
 
 
 def test_effort_bounds_the_current_and_does_not_outlive_its_trajectory(rig: Rig) -> None:

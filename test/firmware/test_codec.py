@@ -4,38 +4,22 @@
 from __future__ import annotations
 
 import random
-import struct
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from deltacharger_driver.board.protocol import (
     FULL_SCALE,
-    LIMITS,
-    Ack,
-    Hello,
-    PacketError,
     PacketType,
-    Power,
-    decode_close,
-    decode_limit,
     decode_samples,
-    encode_ack,
-    encode_hello,
-    encode_power,
     encode_samples,
 )
-from deltacharger_driver.packets import Packet, PacketDecoder, cobs_decode, cobs_encode, encode_packet
+from deltacharger_driver.packets import Packet, PacketDecoder, encode_packet
 
 from ..marks import night
 from .codec_process import CodecProcess
-
-NEXT = Packet(PacketType.PING, b"next", 1)
 
 
 @pytest.fixture(scope="module")
@@ -43,13 +27,6 @@ def codec(core: Path) -> Iterator[CodecProcess]:
     codec = CodecProcess(core / "codec")
     yield codec
     codec.close()
-
-
-def with_reserved(packet: Packet, reserved: int) -> bytes:
-    """Bytes on the wire of a packet whose header ends with `reserved`, with a valid checksum."""
-    body = bytearray(cobs_decode(encode_packet(packet)[1:-1])[:-4])
-    body[14:16] = struct.pack("<H", reserved)
-    return b"\0" + cobs_encode(bytes(body) + struct.pack("<I", zlib.crc32(body))) + b"\0"
 
 
 def assert_same(codec: CodecProcess, chunks: list[bytes]) -> list[Packet]:
@@ -105,59 +82,6 @@ def test_every_code_half_between_codes_and_the_edges(codec: CodecProcess) -> Non
         back, clipped = np.ravel(decode_samples(written)), np.clip(row, 0.0, 10.0)
         assert np.array_equal(np.isnan(back), np.isnan(row))
         assert np.nanmax(np.abs(back - clipped)) <= FULL_SCALE / (top - 1) / 2 + 1e-6
-
-
-@settings(max_examples=60)
-@given(st.tuples(*[st.floats(width=32)] * 4), st.booleans(), *[st.integers(0, 255)] * 2, st.integers(0, 2**32 - 1))
-def test_power_hello_and_ack_are_encoded_identically(
-    codec: CodecProcess, numbers: tuple[float, ...], closed: bool, fault: int, type: int, boot: int
-) -> None:
-    battery, target, current, least = numbers
-    body = struct.pack("<ffffBB", *numbers, closed, fault)
-    assert codec.ask("p", body) == encode_power(Power(battery, target, current, closed, fault, least))
-    written = codec.ask("h", struct.pack("<IffBB", boot, battery, target, type, closed))
-    assert written == encode_hello(Hello(1, type, 10, 10, boot, battery, closed, target))
-    error, sequence = fault % 5, boot % 65536
-    assert codec.ask("a", struct.pack("<BBH", type, error, sequence)) == encode_ack(Ack(type, error, sequence))
-
-
-BOUNDS = [struct.unpack("<f", struct.pack("<f", each))[0] for pair in LIMITS.values() for each in pair]
-LIMIT = st.one_of(st.floats(width=32), st.sampled_from(BOUNDS), st.floats(0.125, 25.0, width=32))
-
-
-@settings(max_examples=300)
-@given(st.sampled_from([0, 1, 1, 1, 2, 3]), st.sampled_from([0, 1, 2]), st.tuples(*[LIMIT] * 4))
-def test_limits_are_decoded_and_refused_identically(
-    codec: CodecProcess, kind: int, dead: int, numbers: tuple[float, ...]
-) -> None:
-    payload = struct.pack("<BBHffff", kind, dead, 0, *numbers)
-    good, is_dead, current, voltage, start, gap = struct.unpack("<??ffII", codec.ask("l", payload))
-    try:
-        limits = decode_close(payload)
-    except PacketError:
-        assert not good
-    else:
-        assert (good, is_dead, current, voltage) == (True, limits.dead, limits.current, limits.voltage)
-        assert (1e-6 * start, 1e-6 * gap) == pytest.approx((limits.start_time, limits.gap_time), rel=1e-5)
-    good, current = struct.unpack("<?f", codec.ask("i", payload := struct.pack("<Bf", 3, numbers[0])))
-    try:
-        assert decode_limit(payload) == current
-    except PacketError:
-        assert not good
-
-
-@pytest.mark.parametrize(
-    ("wire", "counters"),
-    [
-        *((encode_packet(Packet(PacketType.START), version), (1, 0, version)) for version in (0, 2, 255)),
-        *((with_reserved(Packet(PacketType.START), reserved), (0, 1, -1)) for reserved in (1, 0x100, 0xFFFF)),
-    ],
-)
-def test_another_major_version_and_reserved_bytes_are_dropped_and_counted(
-    codec: CodecProcess, wire: bytes, counters: tuple[int, ...]
-) -> None:
-    assert assert_same(codec, [wire, encode_packet(NEXT)]) == [NEXT]
-    assert codec.counters() == (1, 0, 0, 0, *counters)
 
 
 def mutate(source: random.Random, wire: bytearray) -> bytearray:

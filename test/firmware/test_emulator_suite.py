@@ -9,6 +9,4 @@ from .board_host import on_firmware
 
 pytestmark = pytest.mark.usefixtures("firmware_boards")
 
-globals().update(on_firmware("test_board_emulator_contactor"))
-globals().update(on_firmware("test_board_emulator", mark=pytest.mark.rest))
-globals().update(on_firmware("test_board_emulator_pads", mark=pytest.mark.rest))
+globals().update(on_firmware("test_board_emulator"))

@@ -9,7 +9,6 @@ from .board_host import on_firmware
 
 NOT_OF_THE_BOARD = {
     "test_an_incompatible_device_is_refused_with_the_reason",  # a puppet answers
-    "test_a_callback_may_fail_but_not_ask",
     "test_a_reboot_with_a_lost_hello_is_detected_by_the_clock",  # by a hook of the emulator
 }
 

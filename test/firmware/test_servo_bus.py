@@ -133,23 +133,6 @@ def test_nothing_is_sent_before_the_first_servo_packet_of_a_boot(bench: Bench) -
     assert nothing_is_sent()
 
 
-def test_a_boot_during_a_packet_clears_both_directions(bench: Bench) -> None:
-    bench.set("bus_takes 3")
-    bench.send((SERVO, QUESTION))
-    bus(bench, b"half an ans")
-    bench.run(0)
-    cut = encode_packet(Packet(SERVO, b"of before", 1))
-    bench.host.sent(f"wire {cut[:12].hex()}")
-    bus(bench)
-    bench.set("bus_takes 4096")
-    bench.now += 100
-    bench.reboot()
-    bench.host.sent(f"wire {cut[12:].hex()}")
-    assert from_servos(bench.run(10 * MS)) == []
-    assert bus(bench) == b""
-    answers(bench)
-
-
 SPEEDS = [struct.pack("<I", speed) for speed in (0, 1, 9_599, 4_500_001, 2**32 - 1)]
 
 

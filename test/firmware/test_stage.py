@@ -141,17 +141,6 @@ def test_a_detected_fault_opens_in_time_and_is_latched(
     bench.charge()
 
 
-@pytest.mark.parametrize(("current", "fault"), [(30, BoardFault.OVER_CURRENT), (-30, BoardFault.REVERSE_CURRENT)])
-def test_a_current_while_the_contacts_still_close_opens_at_once(bench: Bench, current: int, fault: BoardFault) -> None:
-    bench.set("stuck 1")
-    closing(bench)
-    bench.run_until("precharge", 1, 10 * MS)
-    bench.run_until("state", 2, 100 * MS)
-    bench.set(f"force current {current}")
-    bench.run(2 * MS)
-    bench.check(commanded=0, fault=fault)
-
-
 PRECHARGE = [
     (BoardFault.VOLTAGE_OUT_OF_RANGE, "force output 20"),
     (BoardFault.STALE, "force output nan"),
@@ -188,15 +177,6 @@ def test_contacts_welded_before_a_boot_are_detected_without_a_command(bench: Ben
     bench.reboot()
     bench.run(130 * MS)
     bench.check(fault=BoardFault.CONTACTOR_WELDED)
-
-
-def test_a_reverse_current_has_100_ms_from_the_close_command_on(bench: Bench) -> None:
-    closing(bench)
-    bench.set("force current -0.6")
-    bench.run(99 * MS)
-    bench.check(contactor=1, fault=0)
-    bench.run(4 * MS)
-    bench.check(contactor=0, fault=BoardFault.REVERSE_CURRENT)
 
 
 def test_the_boards_own_limits_stay_the_outer_bounds(bench: Bench) -> None:
