@@ -93,12 +93,6 @@ def test_region_and_binning_give_the_intrinsics_of_the_image_that_is_sent(readou
     assert vars(found) == wanted
 
 
-@pytest.mark.parametrize("k", [None, [True] * 9, K[:8]])
-def test_a_message_with_another_matrix_is_refused(k: Any) -> None:
-    with pytest.raises(CameraInfoError, match="camera matrix"):
-        from_camera_info(640, 400, k, [], "none")
-
-
 RGB = np.random.default_rng(3).integers(0, 256, (18, 21, 3), dtype=np.uint8)
 
 

@@ -18,7 +18,6 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CameraInfo, Image
-from std_msgs.msg import Header
 
 from deltacharger_core.mcap_file import Raw
 from deltacharger_ros import qos
@@ -28,7 +27,6 @@ from deltacharger_vision.cameras.oak_pipeline import CameraUnavailable, OakImage
 from deltacharger_vision.cameras.ros_formats import color_array, depth_array, from_camera_info
 from deltacharger_vision.images import COLOR, DEPTH, INFO, Intrinsics, RgbdImage
 from deltacharger_vision.ros.messages import (
-    CameraPublishers,
     camera_info_message,
     color_message,
     depth_message,
@@ -158,16 +156,6 @@ def test_a_replay_waits_for_a_subscriber_and_keeps_content_with_new_stamps(recor
         np.testing.assert_array_equal(color_array(color[1]), picture(number).color)
         assert depth_array(depth[1])[1, 1] == 300 + number
         assert info[1].k[0] == LENS.fx
-
-
-def test_a_replay_keeps_frames_that_differ() -> None:
-    node: Any = mock.Mock()
-    publishers = CameraPublishers(node, "left/camera_color_optical_frame")
-    sent = node.create_publisher.return_value.publish
-    for frame in ("rgb", "rgb", "ir"):
-        publishers.recorded(COLOR, Image(header=Header(frame_id=frame)), 1)
-    frames = [call.args[0].header.frame_id for call in sent.call_args_list]
-    assert frames == ["left/camera_color_optical_frame"] * 2 + ["ir"]
 
 
 @pytest.mark.parametrize(

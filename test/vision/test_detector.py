@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from deltacharger_vision.detector.detector import ElectrodeDetector, annotated
 from deltacharger_vision.detector.observed import Plane, Region, fit_plane
-from deltacharger_vision.errors import CameraInfoError
-from deltacharger_vision.images import Intrinsics, RgbdImage
+from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
 from deltacharger_vision.rendering.scene import Box, RenderedScene, shifted
 from deltacharger_vision.rendering.scene_drawing import draw_scene
@@ -250,6 +249,8 @@ def test_half_of_a_bar_may_be_hidden(bar: int, end: int, count: int) -> None:
 def test_below_the_stereo_range_the_image_alone_gives_the_pose() -> None:
     seen = look(pose_at(0.15, roll=0.1, pitch=0.3))
     noise = np.random.default_rng(5).uniform(0.174, 2.0, seen.image.depth.shape).astype(np.float32)
+    far = ElectrodeDetector(stereo_range=0.28).detect(look(pose_at(0.25)).image)
+    assert far.source == "image", "nor nearer than another camera measures"
     for each in (seen, seen_again(seen, depth=noise)):
         assert each.found.source == "image"
         assert np.isfinite(each.found.normal).all()
@@ -299,38 +300,12 @@ def test_a_slightly_wrong_focal_length_or_biased_depth_is_within_the_covariance(
             assert sigmas(each) < 5.0
 
 
-def test_depth_nearer_than_the_camera_measures_is_not_used() -> None:
-    seen = look(pose_at(0.25, roll=0.1, pitch=0.3))
-    far = ElectrodeDetector(stereo_range=0.28)
-    assert far.detect(dataclasses.replace(seen.image, depth=seen.image.depth * np.float32(0.9))).source == "image"
-
-
-# Of the second ones, three were off by 4 to 9 mm, 7 to 39 standard deviations.
-@pytest.mark.parametrize("seeds", [(0, 10), rest(range(60))])
-def test_without_depth_the_sides_of_the_bars_are_not_taken_for_their_faces(seeds: Iterable[int]) -> None:
-    for seed in seeds:
-        random = np.random.default_rng(seed)
-        away, roll, pitch = random.uniform((0.2, -0.4, 0.0), (0.5, 0.4, 0.5))
-        yaw = random.choice([-1, 1]) * random.uniform(0.3, 0.7)
-        pose = pose_at(away, roll, pitch, yaw, random.uniform(-0.2, 0.2), random.uniform(-0.1, 0.1))
-        image = CAMERA.render(RenderedScene(), pose, np.random.default_rng(seed), color_only=True)
-        assert not wrong_and_sure(Look(DETECTOR.detect(image), pose, image))
-
-
-@pytest.mark.parametrize("kind", ["noise", "blobs", "bars"])
-def test_the_time_of_any_large_texture_is_bounded(kind: str) -> None:
-    random, size = np.random.default_rng(0), (1536, 2048)
-    if kind == "noise":
-        grey = random.integers(0, 256, size, dtype=np.uint8)
-    elif kind == "blobs":
-        smooth = cv2.GaussianBlur(random.standard_normal(size).astype(np.float32), (0, 0), 3.0)
-        grey = np.clip(127.0 + 600.0 * smooth, 0.0, 255.0).astype(np.uint8)
-    else:
-        grey = np.full(size, 20, dtype=np.uint8)
-        for row, column in itertools.product(range(1, size[0] - 8, 12), range(2, size[1] - 40, 45)):
-            grey[row : row + 5, column : column + 32] = 60 + (7 * row + 3 * column) % 190
-    lens = OAK_D.scaled(*size[::-1])
-    image = RgbdImage.make(grey, np.full(size, np.nan), lens)
+def test_the_time_of_a_large_picture_full_of_bars_is_bounded() -> None:
+    size = (1536, 2048)
+    grey = np.full(size, 20, dtype=np.uint8)
+    for row, column in itertools.product(range(1, size[0] - 8, 12), range(2, size[1] - 40, 45)):
+        grey[row : row + 5, column : column + 32] = 60 + (7 * row + 3 * column) % 190
+    image = RgbdImage.make(grey, np.full(size, np.nan), OAK_D.scaled(*size[::-1]))
     began = time.process_time()
     assert DETECTOR.detect(image) is None
     assert time.process_time() - began < 1.0
@@ -345,22 +320,6 @@ def test_a_large_image_gives_the_same_pose_with_corners_in_its_own_pixels() -> N
     found = DETECTOR.detect(large)
     assert np.linalg.norm(error(found, seen.pose)) < 0.002
     np.testing.assert_allclose(found.bars, 3.0 * (seen.found.bars + 0.5) - 0.5, atol=1.0)
-
-
-@few_and(8, 1)
-@pytest.mark.parametrize("lens", [OAK_D, Intrinsics(640, 400, 400.0, 400.0, 319.5, 199.5, DISTORTIONS[1])])
-def test_a_terminal_at_the_border_of_the_image_is_right_or_none(lens: Intrinsics, count: int) -> None:
-    for seed in range(20_800, 20_800 + count):
-        random = np.random.default_rng(seed)
-        roll, x, y = random.uniform((-0.5, 0.55, -0.4), (0.5, 0.9, 0.4))
-        assert not look(pose_at(0.28, roll, x=x, y=y), seed, camera=SimulatedCamera(lens)).off >= 0.003
-
-
-def test_a_lens_that_folds_the_image_is_refused() -> None:
-    lens = Intrinsics(640, 400, 300.0, 300.0, 319.5, 199.5, (-2.0, 0.0, 0.0, 0.0, 0.0))
-    color = np.zeros((400, 640, 3), dtype=np.uint8)
-    with pytest.raises(CameraInfoError, match="calibrate"):
-        DETECTOR.detect(RgbdImage.make(color, np.full((400, 640), 0.3), lens))
 
 
 def wrong_and_sure(seen: Look) -> bool:
@@ -392,8 +351,8 @@ def fitted(ray: np.ndarray, inverse: np.ndarray, block: np.ndarray, random: np.r
     return plane
 
 
-@pytest.mark.parametrize("lean", [0.002, 0.006, 0.012, 0.02, 0.03])
-@pytest.mark.parametrize("away", [0.18, 0.23, 0.35])
+@pytest.mark.parametrize("lean", [0.002, 0.02])
+@pytest.mark.parametrize("away", [0.18, 0.35])
 def test_rounded_depth_does_not_pull_the_plane_onto_one_step(away: float, lean: float) -> None:
     """A plate 9 cm wide, yawed in front of a camera whose depth has 0.2 mm of noise and whole millimetres."""
     for seed in range(10):
