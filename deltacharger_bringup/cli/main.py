@@ -9,15 +9,12 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import os
 import signal
 import sys
-import threading
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from types import FrameType
-from typing import Any
 
 from deltacharger_bringup.cli.arguments import Parser, Version, add_command
 from deltacharger_bringup.cli.output import (
@@ -79,7 +76,6 @@ LABORATORY = ("campaign", "report")
 """Commands that a laboratory brings, if it is installed."""
 HOW_TO_GET_IT = "install the laboratory: `make lab` in a clone of deltacharger, or `pip install` its folder lab"
 
-_SOON = 0.01  # s, after which an interruption is repeated
 
 _EXTRA_OF = {
     "scipy": "deltacharger[calibrate]",
@@ -111,7 +107,6 @@ def main(
 
 
 def _interruptible(words: list[str], run: Callable[[], int]) -> int:
-    sys.unraisablehook = _repeat
     try:
         signal.signal(signal.SIGINT, _interrupt)  # until the command, imported later, handles signals
         return run()
@@ -131,15 +126,6 @@ def _show_warning(message: Warning | str, *where: object, **more: object) -> Non
 def _interrupt(number: int, frame: FrameType | None) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second one must not stop the clean-up
     raise KeyboardInterrupt
-
-
-def _repeat(lost: Any) -> None:
-    """Interrupt once more if the interruption came to a destructor or to the import system, which drop exceptions."""
-    if lost.exc_type is not KeyboardInterrupt:
-        sys.__unraisablehook__(lost)
-    elif signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        signal.signal(signal.SIGINT, _interrupt)
-        threading.Timer(_SOON, os.kill, (os.getpid(), signal.SIGINT)).start()
 
 
 def _run(words: list[str], commands: Mapping[str, Command] | None, prog: str) -> int:

@@ -98,13 +98,13 @@ def draw(run: Run, path: Path, about: str = "") -> None:
 
 def _compose(figure: Figure, run: Run, about: str) -> None:
     grid = figure.add_gridspec(
-        7, 2, width_ratios=(3.2, 1.0), height_ratios=(0.5, 1.2, 1.1, 0.9, 1.3, 1.0, 0.9),
+        6, 2, width_ratios=(3.2, 1.0), height_ratios=(0.5, 1.2, 1.3, 1.4, 1.1, 1.0),
         left=0.075, right=0.955, top=0.885, bottom=0.150, hspace=0.13, wspace=0.2,
     )  # fmt: skip
     scale = TimeScale(run)
     first = figure.add_subplot(grid[0, 0])
-    rows = [first, *(figure.add_subplot(grid[index, 0], sharex=first) for index in range(1, 7))]
-    panels = (_decisions, _height, _contact_current, _force, _misalignment, _clearance, _charge)
+    rows = [first, *(figure.add_subplot(grid[index, 0], sharex=first) for index in range(1, 6))]
+    panels = (_decisions, _height, _contact_current, _misalignment, _clearance, _charge)
     for axes, panel in zip(rows, panels, strict=True):
         axes.set_facecolor(_PHASE_COLOURS["idle"])
         for phase in run.phases:
@@ -271,14 +271,6 @@ def _contact_current(axes: Axes, run: Run, scale: TimeScale) -> None:
     axes.set_ylabel("contact\ncurrent, A")
 
 
-def _force(axes: Axes, run: Run, scale: TimeScale) -> None:
-    motion = run.motion.arrays()
-    axes.axhline(0.0, color=_LINE, linewidth=0.8)
-    axes.plot(motion["time"], motion["force"], color=RED, linewidth=1.1)
-    _limit(axes, motion["force"], 1.0, "N")
-    axes.set_ylabel("push of the\nservos, N")
-
-
 def _misalignment(axes: Axes, run: Run, scale: TimeScale) -> None:
     """Draw each measurement with its standard deviation, and its contact's number; hollow = unsure."""
     axes.axhline(0.0, color=_LINE, linewidth=0.8)
@@ -360,17 +352,11 @@ def _limit(axes: Axes, values: Any, least: float, unit: str) -> None:
 
 
 def _side(figure: Figure, place: Any, run: Run) -> None:
-    """Fill the column beside the curves: the camera's image if one was used, contacts, pads."""
-    heights = (2.0, 3.6) if run.seen is None else (1.5, 2.0, 2.2)
-    rows = place.subgridspec(len(heights), 1, height_ratios=heights, hspace=0.22)
-    if run.seen is not None:
-        axes = figure.add_subplot(rows[0, 0])
-        axes.imshow(run.seen, interpolation="antialiased")
-        axes.set_title("camera image", pad=4)
-        axes.set_axis_off()
+    """Fill the column beside the curves: contacts and pads."""
+    rows = place.subgridspec(2, 1, height_ratios=(2.0, 3.6), hspace=0.22)
     contacts = list({touch.contact or index: touch for index, touch in enumerate(run.touches, 1)}.values())
-    _contacts(figure.add_subplot(rows[-2, 0]), contacts, run)
-    _pads(figure, rows[-1, 0], contacts, _MAPS if run.seen is None else _MAPS - 1)
+    _contacts(figure.add_subplot(rows[0, 0]), contacts, run)
+    _pads(figure, rows[1, 0], contacts)
 
 
 def _contacts(axes: Axes, contacts: Sequence[Touch], run: Run) -> None:
@@ -412,11 +398,11 @@ def _contacts(axes: Axes, contacts: Sequence[Touch], run: Run) -> None:
     axes.tick_params(length=2, labelsize=7.5)
 
 
-def _pads(figure: Figure, place: Any, contacts: Sequence[Touch], most: int) -> None:
+def _pads(figure: Figure, place: Any, contacts: Sequence[Touch]) -> None:
     """Show the pads' forces at the contacts as seen along +z at the target: +x to the left, +y up."""
     felt = [touch for touch in contacts if touch.frames is not None]
-    shown = felt if len(felt) <= most else [felt[round(i * (len(felt) - 1) / (most - 1))] for i in range(most)]
-    rows = place.subgridspec(most, 2, hspace=0.45, wspace=0.08)
+    shown = felt if len(felt) <= _MAPS else [felt[round(i * (len(felt) - 1) / (_MAPS - 1))] for i in range(_MAPS)]
+    rows = place.subgridspec(_MAPS, 2, hspace=0.45, wspace=0.08)
     if not shown:
         axes = figure.add_subplot(rows[0, :])
         axes.set_axis_off()

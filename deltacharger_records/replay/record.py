@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from rclpy.context import Context
-from sensor_msgs.msg import Image
 
 from deltacharger_core.files import parse_json
 from deltacharger_core.mcap_file import RecordingError
@@ -19,7 +18,6 @@ from deltacharger_records.node_parameters import ParameterReader, known_settings
 from deltacharger_records.recording.folder import ABOUT, END, RESULT
 from deltacharger_records.recording.mcap_recording import TOPICS, Recording
 from deltacharger_records.replay.run import Run, RunBuilder
-from deltacharger_ros import qos
 from deltacharger_ros.client import Guest
 from deltacharger_ros.clock import steady_timer
 from deltacharger_ros.outcomes import Outcome
@@ -115,7 +113,7 @@ def _outcome(plain: dict[str, Any]) -> Outcome:
 
 
 class Recorder(Guest):
-    """Fill a `Run` from a running charger's topics and the detector's annotated image.
+    """Fill a `Run` from a running charger's topics.
 
     Positions and forces use docking_node's own geometry and gravity, read at the beginning.
 
@@ -137,7 +135,6 @@ class Recorder(Guest):
         for topic in TOPICS:
             if topic.name in self._build.takers:
                 self.node.create_subscription(topic.kind, topic.name, self._taker(topic.name), topic.qos)
-        self.node.create_subscription(Image, "electrode_detection/image", self._on_image, qos.SENSOR)
         self._parameters = ParameterReader(self.node, "docking_node")
         self._asking = steady_timer(self.node, _ASK, self._ask)
         self.serve()
@@ -187,10 +184,3 @@ class Recorder(Guest):
                     self._build.take(topic, now, message)
 
         return on_message
-
-    def _on_image(self, message: Image) -> None:
-        from deltacharger_vision.cameras.ros_formats import color_array
-
-        seen = color_array(message)
-        with self._lock:
-            self.run.seen = seen

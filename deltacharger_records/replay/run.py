@@ -126,7 +126,6 @@ class Run:
         phases: in order.
         touches: the measurements that docking used.
         decisions: what docking decided.
-        seen: the detector's last image, annotated, (H, W, 3) uint8 RGB; None = none was used.
         results: outcomes as sent to the clients.
         damage: why the data stop early; '' = they do not.
         code, message: docking_state's last error; 0 = none.
@@ -144,7 +143,6 @@ class Run:
     phases: list[Phase] = field(default_factory=list)
     touches: list[Touch] = field(default_factory=list)
     decisions: list[Decided] = field(default_factory=list)
-    seen: NDArray[np.uint8] | None = None
     results: list[Outcome] = field(default_factory=list)
     damage: str = ""
     code: int = 0

@@ -5,9 +5,8 @@ from __future__ import annotations
 
 import argparse
 import json
-import signal
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType, SimpleNamespace
 from typing import Any
@@ -20,11 +19,9 @@ from deltacharger_bringup.cli.output import FAILED, CommandError
 from deltacharger_core.servo_types import MeasuredServos
 from deltacharger_core.yaml_file import read_declared
 from deltacharger_kinematics.calibration.servo_procedure import Gains
-from deltacharger_kinematics.geometry import DeltaGeometry, save_geometry
 from deltacharger_records.datasets.arm_client import ArmError
 
 from ..chargers import Process, wait_until
-from ..marks import night, rest
 
 pytestmark = pytest.mark.ros
 
@@ -117,67 +114,25 @@ WORLD = {
     "target": {"present": False},
     "servo": {"stiffness": 10.0, "friction": 0.08, "backlash": 0.004, "torque_constant": 1.3},
 }
-OLD = "stiffness: 7.0\n"
-
-
-def test_docking_nodes_gravity_counts_also_with_another_geometry(tmp_path: Path) -> None:
-    save_geometry(DeltaGeometry(arm=0.103), tmp_path / "arm.yaml")
-    options = argparse.Namespace(geometry=str(tmp_path / "arm.yaml"), weight_percent=2.0, seconds=1.0, seed=1)
-    docking = {"gravity": (0.0, 0.0, -9.81), "geometry_file": "/nowhere/arm.yaml"}
-    task, _ = command._task(options, docking, GAINS)
-    assert (task.gravity, task.geometry.arm) == ((0.0, 0.0, -9.81), 0.103)
-
-
-@pytest.fixture(scope="module")
-def charger(context: Any) -> Iterator[Any]:
-    from deltacharger_scenes.scene import parse_scene
-
-    from ..running_charger import RunningCharger
-
-    with RunningCharger(parse_scene({"simulation": {"seed": 1, "world": WORLD}}, "free"), context) as charger:
-        yield charger
-
-
-@pytest.fixture
-def measure(charger: Any, start: Callable[..., Process]) -> Iterator[Callable[..., Process]]:
-    """Start the command on the running charger, whose torque is off afterwards."""
-
-    def begin(*words: object) -> Process:
-        cli = (sys.executable, "-m", "deltacharger_bringup.cli", "calibrate", "servos", "--json", "--namespace")
-        return start(*cli, charger.namespace, *map(str, words))
-
-    yield begin
-    wait_until(lambda: not any(charger.world.torque), "torque off")
 
 
 @pytest.mark.night
 @pytest.mark.timeout(400)  # it takes 90 s
-def test_servos_are_measured_over_the_real_bytes(measure: Callable[..., Process], tmp_path: Path) -> None:
+def test_servos_are_measured_over_the_real_bytes(context: Any, start: Callable[..., Process], tmp_path: Path) -> None:
+    from deltacharger_scenes.scene import parse_scene
+
+    from ..running_charger import RunningCharger
+
     path = tmp_path / "servos.yaml"
-    process = measure("--out", path, "--seconds", "80")
-    process.process.wait(300.0)
-    assert process.end() == 0, (process.out, process.err)
+    words = ("-m", "deltacharger_bringup.cli", "calibrate", "servos", "--json", "--out", str(path), "--seconds", "80")
+    with RunningCharger(parse_scene({"simulation": {"seed": 1, "world": WORLD}}, "free"), context) as charger:
+        process = start(sys.executable, *words, "--namespace", charger.namespace)
+        process.process.wait(300.0)
+        assert process.end() == 0, (process.out, process.err)
+        wait_until(lambda: not any(charger.world.torque), "torque off")
     result = json.loads(process.out[0])
     assert (result["success"], result["written"], result["doubts"]) == (True, str(path), [])
     found = read_declared(path, MeasuredServos)
     assert (found.stiffness, found.torque_constant) == pytest.approx((10.0, 1.3), rel=0.05)
     assert result["friction"][3][0] == pytest.approx(0.08, rel=0.2)
     assert found.position_p_gain == 434
-
-
-@pytest.mark.parametrize("how", [rest(signal.SIGINT), night(signal.SIGTERM), night(signal.SIGHUP)])
-def test_after_an_interruption_the_torque_is_off_and_the_old_file_is_unchanged(
-    measure: Callable[..., Process], charger: Any, tmp_path: Path, how: signal.Signals
-) -> None:
-    old = tmp_path / "servos.yaml"
-    old.write_text(OLD)
-    refused = measure("--out", old)
-    assert (refused.end(), "--force" in refused.out[0]) == (2, True)
-    process = measure("--out", old, "--force")
-    process.wait_for_line("Ctrl-C", process.err)
-    start = list(charger.servos.position)
-    wait_until(lambda: max(abs(a - b) for a, b in zip(charger.servos.position, start, strict=True)) > 0.05, "motion")
-    assert any(charger.world.torque)
-    assert process.end(how) == 130, process.err
-    assert "torque is off" in json.loads(process.out[0])["error"]
-    assert old.read_text() == OLD

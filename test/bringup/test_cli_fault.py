@@ -98,19 +98,6 @@ def test_an_invalid_fault_is_wrong_usage_with_the_allowed_values(
     command.refuses(capsys, f"fault {words}", noun)
 
 
-def test_without_a_charger_injection_fails_and_the_list_does_not(
-    fault: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
-    code, done = fault("servo_missing")
-    assert code == 1
-    assert "domain 87 or 0" in done["error"]
-    assert fault("--clear", "--directory", str(tmp_path))[0] == 1
-    code, listed = fault("--list")
-    assert (code, listed["active"]) == (0, None)
-    assert set(listed["kinds"]) == set(KINDS)
-
-
 def test_a_folder_of_another_user_is_not_used(tmp_path: Path, fault: Command) -> None:
     runtime.charger(0, "").parent.symlink_to(tmp_path)  # as another user might prepare it in a world-writable folder
     with SimulatedCharger(SIMULATED, tmp_path / "ports"):

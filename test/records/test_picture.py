@@ -22,13 +22,12 @@ def outcome(code: Code = Code.NONE, message: str = "") -> Outcome:
 
 
 def hours() -> Run:
-    """Return a run of hours, without curves, and with an image and measurements of nothing."""
+    """Return a run of hours, without curves and with measurements of nothing."""
     run = Run(phases=[Phase("measure", 0.0, 3.0), Phase("charging", 3.0, 9000.0)], charged=8997.0, end=9000.0)
     known, unknown = MisalignmentEstimate(*[1e-3] * 6), MisalignmentEstimate(*[math.nan] * 6)
     frame = np.zeros((10, 10))
     frame[0, 0] = math.nan
     run.touches = [Touch(number, each, number, (frame, frame)) for number, each in enumerate([known, unknown] * 3, 1)]
-    run.seen = np.zeros((40, 64, 3), dtype=np.uint8)
     run.results = [outcome()]
     return run
 

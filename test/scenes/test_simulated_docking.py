@@ -80,17 +80,12 @@ def scene(**target: Any) -> Scene:
 
 @pytest.mark.rest
 def test_it_docks_from_the_image_and_charges(context: Any) -> None:
-    from deltacharger_records.replay.record import Recorder
-
     phases: list[str] = []
     with RunningCharger(scene(), context) as charger:
-        with Recorder(context, f"/{charger.namespace}") as recorder:
-            outcome = charger.dock(BY_CAMERA, lambda progress: phases.append(progress.phase))
+        outcome = charger.dock(BY_CAMERA, lambda progress: phases.append(progress.phase))
         assert outcome.success, outcome
         assert charger.is_closed
         assert phases[0] == "locate"
-        assert recorder.run.seen is not None
-        assert recorder.run.seen.shape == (400, 640, 3)
         assert 1 <= charger.node("simulated_camera_node").rendered < 60  # while it looked, not while it docked
         charger.go_home()
 
