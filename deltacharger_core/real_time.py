@@ -15,7 +15,6 @@ import math
 import os
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 
 from deltacharger_core.machine import ORDER_AGE_MAX
@@ -127,7 +126,6 @@ def late(age: float) -> str:
 
 
 _PRIORITY = 1  # the lowest of real time: above all ordinary processes, below the kernel's own threads
-_LONGEST = 512  # values kept; ten seconds of heartbeats
 
 
 def take_priority() -> str:
@@ -185,29 +183,6 @@ class RateMeter:
         events, elapsed = count - self._last_count, now - self._last_time
         self._last_count, self._last_time = count, now
         return events / elapsed if elapsed > 0.0 else math.nan
-
-
-class Lateness:
-    """Lateness of periodic events: the maximum and the last values; one thread writes, any may read.
-
-    Attributes:
-        largest: s since the start; NaN before the first.
-    """
-
-    def __init__(self) -> None:
-        self.largest = math.nan
-        self._recent: deque[float] = deque(maxlen=_LONGEST)
-
-    def note(self, lateness: float) -> None:
-        """Record one lateness, s."""
-        self._recent.append(lateness)
-        if not lateness <= self.largest:
-            self.largest = lateness
-
-    def percentile(self, share: float) -> float:
-        """Return the lateness, s, that a `share` (0–1) of the last 512 did not exceed; NaN before the first."""
-        recent = sorted(self._recent.copy())
-        return recent[min(math.ceil(share * len(recent)), len(recent)) - 1] if recent else math.nan
 
 
 _CALL = 2  # SIGEV_THREAD of Linux: a thread of the C library calls a function

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from deltacharger_core.machine import BAUD_RATE, COLUMNS, ROWS, ChargeLimits
-from deltacharger_core.real_time import Lateness
 from deltacharger_driver.board.protocol import (
     CLEAR_WELD,
     HEARTBEAT_PERIOD,
@@ -49,16 +48,12 @@ class Heartbeat:
     It never extends the deadline itself: if the client dies or hangs, the heartbeat stops and the board opens the
     contactor.
 
-    Attributes:
-        lateness: of each heartbeat.
-
     Args:
         send: sends one heartbeat; may raise `PortGone`, which ends the thread.
         name: of the thread.
     """
 
     def __init__(self, send: Callable[[], None], name: str) -> None:
-        self.lateness = Lateness()
         self._send = send
         self._changed = threading.Condition()
         self._until = _NEVER
@@ -109,7 +104,6 @@ class Heartbeat:
                 if now < due:
                     self._changed.wait(due - now)
                     continue
-            self.lateness.note(now - due)
             due = max(due + HEARTBEAT_PERIOD, now)
             try:
                 self._send()
@@ -117,12 +111,8 @@ class Heartbeat:
                 return
 
 
-def check_hello(port: str, hello: Hello) -> None:
-    """Refuse an incompatible board.
-
-    Raises:
-        BoardMismatch: it speaks another version or has other array sizes.
-    """
+def refuse_incompatible(port: str, hello: Hello) -> None:
+    """Refuse a board of another version or with other array sizes by `BoardMismatch`."""
     if hello.major != VERSION or hello.minor < MINOR:
         raise BoardMismatch(port, f"the board speaks version {hello.major}.{hello.minor}")
     if (hello.rows, hello.columns) != (ROWS, COLUMNS):
@@ -133,9 +123,7 @@ def explain_silence(port: str, before: DecoderCounters, now: DecoderCounters, er
     """Return the error for a board that did not answer, from the bytes received since `before`."""
     if now.version_errors > before.version_errors:
         return BoardMismatch(port, f"the board speaks version {now.refused_version}")
-    if now.packets > before.packets:
-        return NoAnswer(f"{port} (the board sends other packets)", error.action, error.timeout)
-    if now.bytes > before.bytes:
+    if now.packets == before.packets and now.bytes > before.bytes:
         count = now.bytes - before.bytes
         return BoardMismatch(port, f"received {count} bytes, but no intact packet: another device, or a bad line")
     return error
@@ -228,7 +216,7 @@ class BoardLink:
             hello = self.hello()
         except NoAnswer as error:
             raise explain_silence(self.port, before, self._decoder.counters, error) from error
-        check_hello(self.port, hello)
+        refuse_incompatible(self.port, hello)
         self.greeting = hello
         return hello
 
@@ -261,12 +249,6 @@ class BoardLink:
     def decoder_counters(self) -> DecoderCounters:
         """A copy of the decoder's counters: bytes, packets and damage."""
         return replace(self._decoder.counters)
-
-    @property
-    def heartbeat_lateness(self) -> Lateness | None:
-        """Lateness of the heartbeats of this connection; None without a connection."""
-        heartbeat = self._heartbeat
-        return None if heartbeat is None else heartbeat.lateness
 
     def hello(self) -> Hello:
         """Request the board's HELLO.

@@ -319,10 +319,6 @@ class TactileNode(Node):
     def _link_status(self) -> DiagnosticStatus:
         link = self._keeper.link
         values = {**vars(link.decoder_counters), **vars(link.counters), "priority": priority()}
-        lateness = link.heartbeat_lateness
-        if lateness is not None:
-            values["heartbeat_late_max"] = quantity(1e3 * lateness.largest, ".1f", "ms")
-            values["heartbeat_late_p99"] = quantity(1e3 * lateness.percentile(0.99), ".1f", "ms")
         damaged = link.decoder_counters.damaged
         warning = f"{damaged} damaged packets since start" if damaged else ""
         return self._status("board link", self._keeper.problem, warning, values)

@@ -144,7 +144,6 @@ def registers_of(servo: ServoType) -> dict[str, Register]:
     """
     every = {
         "model": _fixed(0, 2, servo.model, eeprom=True),
-        "model_information": _fixed(2, 4, 0, eeprom=True),
         "firmware": _fixed(6, 1, 45, eeprom=True),
         "id": _eeprom(7, 1, 1, 0, 252),
         "baud": _eeprom(8, 1, 1, 0, 7),
@@ -184,15 +183,10 @@ def registers_of(servo: ServoType) -> dict[str, Register]:
         "profile_acceleration": _ram(108, 4, 0, 0, 32767),
         "profile_velocity": _ram(112, 4, 0, 0, 32767),
         "goal_position": _ram(116, 4, 0, -EXTENDED_TICKS, EXTENDED_TICKS, True),
-        "realtime_tick": _fixed(120, 2, 0),
         "moving": _fixed(122, 1, 0),
-        "moving_status": _fixed(123, 1, 0),
-        "present_pwm": _fixed(124, 2, 0, True),
         "present_current": _fixed(126, 2, 0, True),
         "present_velocity": _fixed(128, 4, 0, True),
         "present_position": _fixed(132, 4, 0, True),
-        "velocity_trajectory": _fixed(136, 4, 0, True),
-        "position_trajectory": _fixed(140, 4, 0, True),
         "input_voltage": _fixed(144, 2, 0),
         "temperature": _fixed(146, 1, 0),
     }

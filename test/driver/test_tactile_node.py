@@ -216,14 +216,12 @@ def test_a_held_lease_charges_and_is_reported_until_it_lapses(rig: Rig) -> None:
     assert target.current > 0.5
     now = rig.client.get_clock().now().nanoseconds * 1e-9
     assert -0.1 < now - (target.header.stamp.sec + 1e-9 * target.header.stamp.nanosec) < 10.0
-    power, link, pads = (status_of(rig, part) for part in ("power stage", "board link", "tactile arrays"))
+    power, pads = (status_of(rig, part) for part in ("power stage", "tactile arrays"))
     assert 0.0 < float(power["lease_left"].removesuffix(" s")) <= host(0.25)
     assert int(power["lease_renewals"]) > 0
     assert 0.0 < float(power["rate"].removesuffix(" Hz")) <= 25.0
     assert 0.0 < float(pads["rate"].removesuffix(" Hz")) <= 140.0
     assert "late_frames" in pads
-    p99, largest = (float(link[key].removesuffix(" ms")) for key in ("heartbeat_late_p99", "heartbeat_late_max"))
-    assert 0.0 <= p99 <= largest
     renewed = time.monotonic()
     wait_until(lambda: not rig.is_closed())
     assert time.monotonic() - renewed < host(0.4)
