@@ -110,10 +110,8 @@ def locate(context: Context) -> Script[ElectrodePose]:
     if not found.age <= _DETECTION_AGE_MAX:
         raise codes.DetectionStale(f"the detection is {found.age:.1f} s old, more than {_DETECTION_AGE_MAX:.1f} s")
     if not found.image_range <= _IMAGE_RANGE_MAX:
-        raise codes.ElectrodesNotFound(
-            f"the electrodes are {found.image_range:.2f} m from the camera and were measured without depth, which is "
-            f"trusted up to {_IMAGE_RANGE_MAX:g} m: drive nearer, or check the depth images"
-        )
+        far = f"the electrodes are {found.image_range:.2f} m away, more than {_IMAGE_RANGE_MAX:g} m without depth"
+        raise codes.ElectrodesNotFound(f"{far}: drive nearer, or check the depth images")
     check_place(found, context.planner, parameters)
     context.decide("located", "the camera sees the electrodes", **found.numbers)
     return found
@@ -145,9 +143,8 @@ def check_lean(context: Context, electrodes: ElectrodePose) -> None:
     yaw, pitch = electrodes.yaw, electrodes.pitch
     if _is_surely_beyond(context, "pitch", pitch, electrodes.pitch_stddev, _LEAN_MAX):
         raise codes.Leaning(
-            f"the electrodes' faces are pitched by {math.degrees(pitch):+.1f}° about x of charger_base, as given "
-            f"or seen, more than {math.degrees(_LEAN_MAX):.1f}°; level the target or the charger: check "
-            "floor, tyres, suspension and load"
+            f"the electrodes' faces are pitched by {math.degrees(pitch):+.1f}° about x of charger_base, more than "
+            f"{math.degrees(_LEAN_MAX):.1f}°; level the target or the charger"
         )
     if _is_surely_beyond(context, "yaw", yaw, electrodes.yaw_stddev, _LEAN_MAX):
         raise codes.Leaning(
@@ -173,8 +170,7 @@ def prepare(context: Context) -> Script[None]:
     context.enter(State.APPROACH, APPROACH_TIMEOUT)
     oldest = context.parameters.age_max
     with context.waiting_for("servo_state and tactile_frame"):
-        seen = lambda: context.observation  # noqa: E731
-        yield from context.until(lambda: not max(seen().servo_age, seen().tactile_age) > oldest, FIRST_DATA_TIMEOUT)
+        yield from context.until(lambda: not context.observation.oldest > oldest, FIRST_DATA_TIMEOUT)
     if context.observation.servo_age > oldest:
         raise context.observation.servo_silence()
     if context.observation.tactile_age > oldest:

@@ -292,10 +292,8 @@ def clearance_checks(context: Context, order: Order, target: Target) -> Script[N
         if lost:
             context.decide("unsafe", "the clearance is too small", times=unsafe, **estimate.numbers)
         if unsafe >= UNSAFE_MAX:
-            raise CriticalAngle(
-                f"the target moved while charging: {math.degrees(estimate.angle):.1f}°, "
-                f"{1000 * estimate.across:.1f} mm across the bars leave no clearance"
-            )
+            place = f"{math.degrees(estimate.angle):.1f}°, {1000 * estimate.across:.1f} mm across the bars"
+            raise CriticalAngle(f"the target moved while charging: {place} leave no clearance")
 
 
 def _blind(reply: Reply, count: int) -> DockingError:

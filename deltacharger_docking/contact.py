@@ -218,7 +218,7 @@ class Evidence:
             current: contact current, A; the largest that its noise allows.
             seen: the present observation.
         """
-        if self._place is None or max(seen.servo_age, seen.tactile_age) > PRESS_AGE_MAX:
+        if self._place is None or seen.oldest > PRESS_AGE_MAX:
             return ""
         x, y, z = (now - then for now, then in zip(position, self._place, strict=True))
         if (aside := math.hypot(x, y)) > _ASIDE:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -175,8 +176,9 @@ class Context:
         """Take the observation of this tick."""
         before, jump = self.time, max(self.observation.time - observation.time, 0.0)
         ages = {name: getattr(observation, name) for name in ("servo_age", "tactile_age", "power_age")}
-        if unknown := {name: math.inf for name, age in ages.items() if math.isnan(age)}:
-            observation = replace(observation, **unknown)  # an unknown age is not fresh
+        if unknown := [name for name, age in ages.items() if math.isnan(age)]:  # an unknown age is not fresh
+            never: dict[str, Any] = dict.fromkeys(unknown, math.inf)
+            observation = replace(observation, **never)
         self._set_back += jump
         self.time = observation.time + self._set_back
         self.pause = max(jump, self.time - max(before, self.waits.until))
@@ -199,8 +201,7 @@ class Context:
             observation = replace(
                 observation, tactile_age=age, tactile_contact=known.tactile_contact, taxels=known.taxels
             )
-        oldest = max(observation.servo_age, observation.tactile_age)
-        if observation.tactile_contact and oldest <= PRESS_AGE_MAX:
+        if observation.tactile_contact and observation.oldest <= PRESS_AGE_MAX:
             self.felt = self.position[2]
             self.touched = self.touched if self._touches else self.felt
             self._touches = True
@@ -314,13 +315,10 @@ class Context:
         """Return the error of a phase that lasted too long, or whose data stayed too old to move on, if so."""
         if self._held and self.time - self._held_since > _HELD_MAX:
             observation = self.observation
-            told = f"the arm waited {_HELD_MAX:g} s for {self._held}"
             if observation.servo_age > PRESS_AGE_MAX:
                 return observation.servo_silence()
-            return codes.TactileStale(
-                f"{told}, but it is {observation.tactile_age:.2f} s old; check the board's cable, tactile_node, and "
-                "whether this computer is too busy"
-            )
+            told = f"{self._held} was awaited for {_HELD_MAX:g} s, but is {observation.tactile_age:.2f} s old"
+            return codes.TactileStale(f"{told}; check the board's cable, tactile_node, and this computer's load")
         if self.time <= self.deadline:
             return None
         phase, waited = self.status.state.name, self.status.waiting_for

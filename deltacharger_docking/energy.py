@@ -215,10 +215,8 @@ def _check_probe(context: Context, profile: TargetProfile, port: Port, reply: Re
                 f"the target has {voltage:.1f} V; profile {name} allows {allowed}: wrong robot or profile"
             )
         if not seen.stage_steps_up and voltage > seen.battery_voltage - _STEP:
-            raise codes.VoltageOutOfRange(
-                f"the target has {voltage:.1f} V, and the charger's battery {seen.battery_voltage:.1f} V: its power "
-                "stage only steps down; charge that battery, or fit a stage that steps up"
-            )
+            told = f"the target has {voltage:.1f} V, and the charger's battery {seen.battery_voltage:.1f} V"
+            raise codes.VoltageOutOfRange(f"{told}, and its power stage only steps down: charge that battery")
     elif profile.port == "live":
         pitch = context.electrodes
         if port is Port.OPEN and pitch and abs(pitch.pitch) > LEAN_SIGMAS * pitch.pitch_stddev:
@@ -228,7 +226,5 @@ def _check_probe(context: Context, profile: TargetProfile, port: Port, reply: Re
                 "the target or the charger"
             )
         dirt = "" if port is Port.DEAD else ", or clean the electrodes and check that no pitch of the faces lifts a bar"
-        raise codes.NoChargeCurrent(
-            f"the port has no voltage ({reply.resistance:.3g} Ω), but profile {name} says it is live: wake the target "
-            f"or switch it on; if a diode or a relay is in its port, set port: dead in the profile{dirt}"
-        )
+        told = f"the port has no voltage ({reply.resistance:.3g} Ω), but profile {name} says it is live"
+        raise codes.NoChargeCurrent(f"{told}: wake the target, or set port: dead in the profile{dirt}")

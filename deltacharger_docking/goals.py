@@ -46,10 +46,7 @@ def _check_live(goal: DockGoal) -> None:
         Rejected: the goal asks for contact without current, or for counted energy.
     """
     if not goal.start_charging:
-        raise Rejected(
-            "power: none: the electrodes are wired to the battery, so contact without current is impossible: send the "
-            "goal with start_charging true, or undock to end the current"
-        )
+        raise Rejected("power: none: contact without current is impossible: set start_charging, or undock")
     if goal.stop_energy:
         raise Rejected("power: none: this charger does not measure energy; leave stop_energy 0 and give stop_after")
     if goal.target_profile:
@@ -59,9 +56,7 @@ def _check_live(goal: DockGoal) -> None:
 def _check_profile(goal: DockGoal, profiles: Mapping[str, TargetProfile]) -> None:
     name = goal.target_profile
     if goal.start_charging and not profiles:
-        raise Rejected(
-            "no current flows without a profile of the target: set docking_node's target_profiles (docs/targets.md)"
-        )
+        raise Rejected("no current flows without a profile: set docking_node's target_profiles (docs/targets.md)")
     if name and name not in profiles:
         known = did_you_mean(name, profiles) or f"; known are {', '.join(profiles) or 'none'}"
         raise Rejected(f"target_profile '{name}' is unknown{known} (docs/targets.md)")
@@ -75,10 +70,7 @@ def check_change(goal: DockGoal, context: Context) -> None:
     """
     wanted = goal.target_profile or next(iter(context.profiles), "")
     if context.status.charging and goal.start_charging and wanted != context.profile_name:
-        raise Rejected(
-            f"the target is being charged by profile '{context.profile_name}', not '{wanted}': undock it, or send a "
-            "goal with start_charging false first"
-        )
+        raise Rejected(f"the target is being charged by profile '{context.profile_name}', not '{wanted}': undock it")
 
 
 def check_id(request_id: str) -> None:
@@ -124,10 +116,8 @@ def check_place(electrodes: ElectrodePose, planner: Planner, parameters: Docking
             base.yaw,
         )
     if z < parameters.home_z + BACK:
-        raise Rejected(
-            f"the electrodes' z, {1000 * z:.0f} mm, is less than {1000 * BACK:.0f} mm beyond home_z, "
-            f"{1000 * parameters.home_z:.0f} mm, so the arm could not pull off: lower home_z, or move the robot back"
-        )
+        near = f"less than {1000 * BACK:.0f} mm beyond home_z, {1000 * parameters.home_z:.0f} mm"
+        raise Rejected(f"the electrodes' z, {1000 * z:.0f} mm, is {near}: lower home_z, or move the robot back")
 
 
 def in_words(yaw: float) -> str:

@@ -163,19 +163,22 @@ class Observation:
     stopped: str = ""
     taxels: Array | None = None
 
+    @property
+    def oldest(self) -> float:
+        """Age (s) of servo_state or of the tactile frames, whichever are older."""
+        return max(self.servo_age, self.tactile_age)
+
     def servo_silence(self) -> DockingError:
         """Return the error of servo data that are too old: they come late, or a servo does not answer.
 
         All servos at once fall silent also where the computer or a USB adapter stalls, but not for long.
         """
         if self.servos_valid or self.servo_age == math.inf:
-            return ServoStale(
-                f"servo_state is {self.servo_age:.1f} s old; check servo_node, and whether this computer is too busy"
-            )
+            return ServoStale(f"servo_state is {self.servo_age:.1f} s old; check servo_node and this computer's load")
         who = "no servo has" if self.servos_mute else "a servo has not"
         silence = f"{who} answered for {self.servo_age:.1f} s; check the servo bus and its power"
         if self.servos_mute and self.servo_age < _STALL_MAX:
-            return ServoStale(f"{silence}, and whether this computer is too busy")
+            return ServoStale(f"{silence}, and this computer's load")
         return ServoFailure(silence)
 
 

@@ -81,7 +81,7 @@ def check_pads(context: Context) -> None:
     if not observation.tactile_contact:
         raise codes.NoTactileContact(
             f"the servos push with {context.contact.value:.2f} A but no taxel measures 1 N: the pads missed the "
-            "target's ridges, there is an obstacle, or gears or cable rub more than at the tare"
+            "ridges, there is an obstacle, or gears or cable rub more than at the tare"
         )
     context.decide(
         "contact",
@@ -300,10 +300,7 @@ def check_depth(context: Context, depth: float) -> None:
         NoContact: there was no contact up to `depth`.
     """
     if context.position[2] > (depth := _deepest(context, depth)):
-        raise codes.NoContact(
-            f"no contact up to z = {1000 * depth:.0f} mm (charger_base); check that the target is there and that its "
-            "coordinates are right"
-        )
+        raise codes.NoContact(f"no contact up to z = {1000 * depth:.0f} mm; check the target and its coordinates")
 
 
 # Chosen in earlier campaigns whose seeds were not kept; the current was once moved to 0.57 A to meet a target.

@@ -249,10 +249,8 @@ def retract(context: Context, wanted: bool = False) -> Script[None]:
         context.decide("retracted", "the arm is home" if away <= LIFT else "the arm stayed", away_m=away)
         if away > LIFT:
             context.check_moved(begun)
-            raise Stuck(
-                f"the arm stayed {1000 * away:.0f} mm from home; free it from the target by hand"
-                f"{context.springs.contradiction}"
-            )
+            told = f"the arm stayed {1000 * away:.0f} mm from home; free it from the target by hand"
+            raise Stuck(told + context.springs.contradiction)
     context.status.docked = False
     yield from prove_dead(context)
     reply = yield from context.ask(Service.TORQUE_OFF, ServoFailure, SERVICE_TIMEOUT)

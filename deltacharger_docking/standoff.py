@@ -139,10 +139,8 @@ def _check_swing(context: Context, farthest: float) -> Script[None]:
     for number, each in enumerate(servos, 1):
         value = each.damping
         if surely_swings(each):
-            raise ServoFailure(
-                f"servo {number} swings: its damping is {value:.2f} N·m·s/rad, below {LEAST_DAMPING}: raise "
-                "position_d_gain"
-            )
+            braked = f"its damping is {value:.2f} N·m·s/rad, below {LEAST_DAMPING}"
+            raise ServoFailure(f"servo {number} swings: {braked}: raise position_d_gain")
         if value - SURELY * each.damping_stddev > most or number in creeping:
             raise ServoFailure(f"servo {number} creeps: damping above {most:.1f} N·m·s/rad; lower position_d_gain")
 
@@ -213,10 +211,8 @@ def _learn_friction(context: Context, down: float, currents: Vector) -> None:
     others = [value for index, value in enumerate(springs.friction) if index != worst]
     alone = springs.friction[worst] > _APART * max(others)
     culprit = f"the gear of servo {worst + 1}" if alone else "the cable or all gears"
-    raise ServoFailure(
-        f"{culprit} rubs: free motion takes {taken:.2f} A, more than {_MOST_FRICTION:g} A; free the cable, or replace "
-        "the servo"
-    )
+    takes = f"free motion takes {taken:.2f} A, more than {_MOST_FRICTION:g} A"
+    raise ServoFailure(f"{culprit} rubs: {takes}; free the cable, or replace the servo")
 
 
 def _check_order(context: Context, back: Vector) -> None:
@@ -236,10 +232,8 @@ def _check_order(context: Context, back: Vector) -> None:
     if not (told > max(_WRONG_WEIGHT, math.hypot(*context.springs.friction)) and left[right] < _EXPLAINED * told):
         return
     moves = ", ".join(f"servo {servo} limb {limb}" for servo, limb in enumerate(right, 1) if limb != servo - 1)
-    raise ServoFailure(
-        f"the arm's weight lies on the servos as if {moves} moved: with the torque off, turn each limb by hand and "
-        "compare joint_states with docs/hardware.md; or correct gravity of docking_node"
-    )
+    weight = f"the arm's weight lies on the servos as if {moves} moved"
+    raise ServoFailure(f"{weight}: check each servo's id (docs/hardware.md), or docking_node's gravity")
 
 
 def _check_pull(context: Context, target: Vector) -> None:
@@ -254,7 +248,5 @@ def _check_pull(context: Context, target: Vector) -> None:
     left = (1.0 - LOAD_SHARES[1]) * pull - springs.friction_force
     needed = _STRONGER * parameters.magnet_force
     if left < needed:
-        raise Stuck(
-            f"the arm could not let go: {RELEASE_CURRENT:.1f} A pull with {left:.0f} N less friction, and "
-            f"magnets of {parameters.magnet_force:.0f} N need {needed:.0f}: free the cable, or use weaker magnets"
-        )
+        pulls = f"{RELEASE_CURRENT:.1f} A pull with {left:.0f} N, and the magnets need {needed:.0f}"
+        raise Stuck(f"the arm could not let go: {pulls}: free the cable, or use weaker magnets")

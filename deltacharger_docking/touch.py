@@ -183,10 +183,8 @@ class Target:
         context.status.estimate = self._place.combined(estimate)
         if self._place.contradicts_itself and not stay:
             context.decide("contradiction", "the estimates contradict the arm's own moves", x_m=estimate.horizontal)
-            raise codes.EstimateUnsure(
-                "the pads' estimates contradict the arm's own moves; check whether frames repeat, the target "
-                "moves, or magnet_force is wrong"
-            )
+            cure = "check whether frames repeat, the target moves, or magnet_force is wrong"
+            raise codes.EstimateUnsure(f"the pads' estimates contradict the arm's own moves; {cure}")
         verdict = self._judge(estimate)
         safe = verdict is Verdict.SAFE or (verdict is Verdict.PROBABLY_SAFE and self._passed >= _CLEARANCE_CONTACTS)
         self._place.choose(self._moves, self._reaches)

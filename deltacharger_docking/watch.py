@@ -102,10 +102,8 @@ class Watches:
             self._dead = now
         if now - self._dead < SURE:
             return None
-        return codes.ContactorWelded(
-            f"the electrodes touch nothing but have {seen.target_voltage:.1f} V with the contactor open, so it is "
-            "welded, or its voltage divider lies: switch the charger's battery off, and replace what is broken"
-        )
+        told = f"the electrodes touch nothing but have {seen.target_voltage:.1f} V with the contactor open"
+        return codes.ContactorWelded(f"{told}: switch the charger's battery off, and replace the contactor")
 
     def _servos_silent(self) -> DockingError | None:
         seen = self._context.observation
@@ -130,9 +128,8 @@ class Watches:
         context, most = self._context, self._context.parameters.hard_current
         if context.lets_go or context.contact.span < _PUSHED or not context.contact.value > most:
             return None
-        return codes.Overcurrent(
-            f"contact current is {context.contact.value:.2f} A, above {most} A{context.springs.contradiction}"
-        )
+        told = f"contact current is {context.contact.value:.2f} A, above {most} A"
+        return codes.Overcurrent(told + context.springs.contradiction)
 
     def _gives_way(self) -> DockingError | None:
         """The target rolls before the push, or takes the arm along by its magnets, which the push bound cannot stop."""
@@ -180,10 +177,7 @@ class Watches:
         context.closing.was_closed |= context.observation.contactor_closed or pause > LONGEST_LEASE  # which has lapsed
         if not pause > _PAUSE_MAX:
             return None
-        return codes.PowerStale(
-            f"docking itself was suspended for {pause:.1f} s while the electrodes were live; check what else this "
-            "computer runs"
-        )
+        return codes.PowerStale(f"docking was suspended for {pause:.1f} s while live; check this computer's load")
 
     def _bridged(self) -> DockingError | None:
         """A bar bridges a live port: its voltage, which was there in this contact, has gone in two charger_power."""
@@ -241,9 +235,8 @@ class Watches:
         if current < _MUCH_BACK or context.time - live.sound["reverse"] > _VOLTAGE_TIME:
             return _flows_back(f"{current:.1f} A flow", current < _MUCH_BACK)
         if context.time - live.sound["current"] > _VOLTAGE_TIME:
-            return codes.ChargeOvercurrent(
-                f"{current:.1f} A exceed the limit of {most:.1f} A; have the power stage's limiter checked"
-            )
+            limit = f"{current:.1f} A exceed the limit of {most:.1f} A"
+            return codes.ChargeOvercurrent(f"{limit}; have the power stage's limiter checked")
         return None
 
     def _refusal(self, live: Live, refusal: str) -> DockingError | None:
@@ -302,10 +295,7 @@ def welded(context: Context) -> codes.ContactorWelded:
     """Return the error of a contactor that is closed, or may be, although it was ordered to open or never to close."""
     observation, parameters = context.observation, context.parameters
     if observation.power_age > parameters.age_max:
-        return codes.ContactorWelded(
-            "charger_power is silent, so the contactor may still be closed; the arm stays on the target: check the "
-            "board's cable and tactile_node, or switch the charger's battery off"
-        )
+        return codes.ContactorWelded("charger_power is silent: check the board, or switch the charger's battery off")
     if observation.power_fault == WELD and not observation.contactor_closed:
         how = "the board reports a welded contactor"
     else:
@@ -362,17 +352,11 @@ def battery_problem(context: Context, low: float | None = None) -> DockingError 
     low, high = context.parameters.battery_voltage_start if low is None else low, context.parameters.battery_voltage_max
     voltage = context.observation.battery_voltage
     if not math.isfinite(voltage):
-        return codes.PowerStale(
-            "the voltage of the charger's own battery is not measured, so nothing is energised; check the power "
-            "stage's plug and voltage divider, or set power to none if the electrodes are wired to the battery"
-        )
+        return codes.PowerStale("the voltage of the charger's own battery is not measured; check the power stage")
     if low <= voltage <= high:
         return None
     cure = "charge it" if voltage < low else "check it and its charger"
-    return codes.VoltageOutOfRange(
-        f"the charger's own battery has {voltage:.1f} V; allowed are {low} to {high} V: {cure}, or check the voltage "
-        "divider"
-    )
+    return codes.VoltageOutOfRange(f"the charger's own battery has {voltage:.1f} V, not {low} to {high} V: {cure}")
 
 
 def stage_problem(context: Context) -> DockingError | None:
@@ -383,10 +367,8 @@ def stage_problem(context: Context) -> DockingError | None:
     volts, full = context.observation.stage_voltage, profile.full_voltage
     if volts > full + _OVERCHARGES or volts < full - _NEVER_FILLS:
         does = "would overcharge it" if volts > full else "could never fill it"
-        return codes.VoltageOutOfRange(
-            f"the power stage is set to {volts:.1f} V, and profile {name} is full at {full:.1f} V: the stage {does}; "
-            "set its voltage and declare it, or send another target_profile"
-        )
+        told = f"the power stage is set to {volts:.1f} V, and profile {name} is full at {full:.1f} V"
+        return codes.VoltageOutOfRange(f"{told}: the stage {does}; set its voltage, or send another target_profile")
     return None
 
 
@@ -401,18 +383,13 @@ def target_problem(context: Context, profile: TargetProfile) -> DockingError | N
         return codes.ReversePolarity(f"the target has {voltage:.1f} V: its electrodes are swapped")
     if low <= voltage <= high:
         return None
-    return codes.VoltageOutOfRange(
-        f"the target has {voltage:.1f} V; profile {context.profile_name} allows {profile.empty_voltage:.1f} to "
-        f"{profile.full_voltage:.1f} V while it is charged"
-    )
+    allowed = f"{profile.empty_voltage:.1f} to {profile.full_voltage:.1f} V"
+    return codes.VoltageOutOfRange(f"the target has {voltage:.1f} V; profile {context.profile_name}: {allowed}")
 
 
 def duplicate(names: str) -> codes.DuplicateSource:
     """Return the error of a second source."""
-    return codes.DuplicateSource(
-        f"energising is refused because there is a second source: {names}; stop the second node, or give it its "
-        "own namespace or ROS_DOMAIN_ID"
-    )
+    return codes.DuplicateSource(f"there is a second source: {names}; stop it, or give it its own namespace")
 
 
 def rolls(context: Context, how: str) -> codes.TargetRolls:

@@ -82,7 +82,6 @@ class TaskReply:
         electrodes: as detected by the camera.
         suggested: better pose of charger_base, None = no other. Its yaw is 0 if the yaw of the faces is unknown.
         unmeasured: docking cannot measure the charge (power: none).
-        energy: J delivered by this mission so far; NaN = a part of it was not measured.
     """
 
     number: int
@@ -94,7 +93,6 @@ class TaskReply:
     electrodes: ElectrodePose | None = None
     suggested: BasePose | None = None
     unmeasured: bool = False
-    energy: float = 0.0
 
 
 @dataclass(frozen=True)

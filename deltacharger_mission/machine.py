@@ -10,7 +10,6 @@ return.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.script import NEXT, Calls, Runner, Script
@@ -45,7 +44,6 @@ MOVES_MAX = 3  # to a better place for docking
 _OFF, _TURNED = 0.03, 0.05  # m, rad from the right place for docking, beyond which the robot moves before it docks
 GAIN_MIN, GAIN_TURN_MIN = 0.005, 0.02  # m, rad; a suggested move below both is not driven
 FACING_STDDEV_MAX = math.radians(2.0)  # of a detected yaw; above it the given facing is used
-_REDOCKINGS = 2  # in a mission, after current had flowed: a pad slipped, a stage tripped; a third time is no accident
 _MENDED_BY_A_MOVE = (Code.UNREACHABLE, Code.LEANING)
 _NEAR = 0.5  # m from the goal within which the navigator's last place is used
 _ANSWER = 2.0  # s beyond its search time in which the detector may answer
@@ -104,7 +102,6 @@ class MissionMachine:
         self.status = MissionStatus(request_id=request_id)
         self._touched = False  # a Dock goal was sent and no undocking has succeeded since: the robot must not move
         self._left = False  # the robot was driven, so it must return
-        self._charge_time = 0.0  # s in which docking has reported current
         self._cancel = self._charged = False
         self._notice = ""  # further information for the client after success
         self._deadline, self._limit = math.inf, math.inf  # of the stage: s, and how long it may last
@@ -233,7 +230,6 @@ class MissionMachine:
         """Do the mission and return the success message."""
         yield NEXT  # so that WAIT is also reported
         yield from self._wait_for_nodes()
-        wish, redockings = goal, 0
         electrodes = goal.electrodes if self._home is not None else None
         distance = self.parameters.view_distance
         if electrodes is not None:
@@ -244,18 +240,12 @@ class MissionMachine:
             electrodes, distance = self._placed(seen, electrodes), DOCK_DISTANCE
             better = self._better(electrodes, _OFF, _TURNED)
             if better is None:
-                reply = yield from self._dock(wish)
+                reply = yield from self._dock(goal)
                 if reply.end is End.DONE and reply.unmeasured:
                     self._notice = reply.message or "docked; the charge is not measured"
                     return self._notice
                 if reply.end is End.DONE:
                     return f"charged: {reply.message}" if reply.message else "charged"
-                rest = self._rest(goal, reply)
-                if rest is not None and redockings < _REDOCKINGS:
-                    wish, redockings = rest, redockings + 1
-                    self._report(_dock_failure(reply))  # until the mission ends
-                    yield from self._undock()
-                    continue
                 if reply.code not in _MENDED_BY_A_MOVE or reply.suggested is None:
                     raise _dock_failure(reply)
                 electrodes = self._suggested(reply.suggested, electrodes)
@@ -267,16 +257,6 @@ class MissionMachine:
             self._enter(Stage.DRIVE, self.parameters.drive_timeout)
             self.status.moves += 1
             yield from self._drive(better, precise=True)
-
-    def _rest(self, goal: MissionGoal, reply: TaskReply) -> MissionGoal | None:
-        """Return what is left to charge after a failure that may pass, if current had flowed; else None."""
-        passes = reply.end is End.FAILED and reply.retriable and reply.code is not Code.CANCELED
-        if self.status.stage is not Stage.CHARGE or not passes:
-            return None
-        energy, after = goal.stop_energy - reply.energy, goal.stop_after - self._charge_time
-        if (goal.stop_energy and not energy > 0.0) or (goal.stop_after and not after > 0.0):  # also NaN
-            return None
-        return replace(goal, stop_energy=goal.stop_energy and energy, stop_after=goal.stop_after and after)
 
     def _search(self, electrodes: Place | None, distance: float) -> Script[ElectrodePose]:
         """Look for the electrodes from place to place, and return the detection."""
@@ -296,8 +276,7 @@ class MissionMachine:
                     break
                 yield from self._wait(_LOOK_PAUSE)
         raise codes.ElectrodesNotFound(
-            f"no electrodes were found in {self.status.views} detections; the last one reported: {reply.message}. "
-            "Check that the target is at the given place and faces the given way"
+            f"no electrodes in {self.status.views} detections; the last one: {reply.message}. Check the target's place"
         )
 
     def _placed(self, seen: ElectrodePose, electrodes: Place | None) -> Place | None:
@@ -419,15 +398,13 @@ class MissionMachine:
         self._enter(Stage.DOCK, DOCK_TIMEOUT)
         number = self._send(Task.DOCK, goal=goal)
         self._touched = True
-        began = math.inf
+        rests = False
         while (reply := self._calls.take(number)) is None:
             docking = self._observation.docking
-            if began == math.inf and docking is not None and (docking.charging or docking.rests):
+            if not rests and docking is not None and (docking.charging or docking.rests):
                 self._enter(Stage.CHARGE if docking.charging else Stage.DOCK, self.parameters.charge_timeout)
-                began = self._time
+                rests = True
             yield NEXT
-        if self.status.stage is Stage.CHARGE:
-            self._charge_time += self._time - began
         return reply
 
     def _undock(self) -> Script[None]:

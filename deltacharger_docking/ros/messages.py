@@ -108,10 +108,8 @@ def electrodes(message: PoseStamped, charger: Sequence[float] = IDENTITY) -> Ele
     position, axes = base.T @ (position - np.asarray(charger[:3])), base.T @ axes
     leans = math.atan2(math.hypot(axes[0, 2], axes[1, 2]), axes[2, 2])
     if leans > _LEAN_MAX:
-        raise Rejected(
-            f"the electrodes' z axis leans {math.degrees(leans):.0f}° from charger_base's, more than 30°; give "
-            "the orientation of charger_base, with the roll and lean of the electrodes"
-        )
+        told = f"the electrodes' z axis leans {math.degrees(leans):.0f}° from charger_base's, more than 30°"
+        raise Rejected(f"{told}; give the orientation of charger_base, with their roll and lean")
     x, y, z = position.tolist()
     found = ElectrodePose((x, y, z), math.atan2(axes[1, 0], axes[0, 0]))
     if leans < _LEVEL:
@@ -145,10 +143,8 @@ def seen(message: ElectrodeDetection, age: float, frame: str = CHARGER_BASE) -> 
         raise ValueError("the detection's orientation or roll is not finite; check the detector's mount")
     oriented = math.atan2(axes[1][0], axes[0][0])
     if abs(math.remainder(oriented - message.roll, 2.0 * math.pi)) > _SAME:
-        raise ValueError(
-            f"the detection contradicts itself: its roll is {math.degrees(message.roll):.1f}°, but its orientation has "
-            f"{math.degrees(oriented):.1f}°; check the detector"
-        )
+        told = f"its roll is {math.degrees(message.roll):.1f}°, its orientation has {math.degrees(oriented):.1f}°"
+        raise ValueError(f"the detection contradicts itself: {told}; check the detector")
     variances = tuple(float(covariance[index]) for index in (_ABOUT_X, _ABOUT_Y, _ABOUT_Z))
     if any(variance < 0.0 for variance in variances):
         raise ValueError("the detection has a negative variance of a rotation; check the detector's covariance")

@@ -56,9 +56,8 @@ def load_navigation(name: str) -> Any:
         from nav2_msgs.action import NavigateToPose
     except ImportError as error:
         raise node_support.StartupError(
-            f"driving needs the package nav2_msgs of Nav2 ({error}): install it by rosdep and "
-            "DELTACHARGER_EXTRAS=mission, or source its installation, or build the stand-in of this repository by "
-            "`make navigation`, or set the parameter navigation to 'none'"
+            f"driving needs the package nav2_msgs of Nav2 ({error}): install it (docs/mission.md), or set the "
+            "parameter navigation to 'none'"
         ) from error
     return NavigateToPose
 

@@ -76,7 +76,6 @@ class Others:
         self._lock = threading.Lock()
         self._replies: list[TaskReply] = []
         self._docking: DockingReport | None = None
-        self._delivered = 0.0  # J, by earlier dockings of this mission
         self.dock_result = unknown_dock(self._end_effector)
         self._detector: Any = node.create_client(DetectElectrodes, Task.DETECT.value, qos_profile=SERVICE)
         self._callers = {
@@ -139,7 +138,6 @@ class Others:
             return Undock.Goal()
         if request.task is Task.DOCK:
             assert request.goal is not None
-            self._delivered = self.dock_result.energy
             self.dock_result = unknown_dock(self._end_effector, math.nan)  # until its result is known
             return Dock.Goal(  # an empty frame_id: docking asks the camera again, at rest and near the target
                 hold=True,
@@ -167,10 +165,9 @@ class Others:
 
     def _read_dock(self, number: int, end: End, result: Any, feedback: Any) -> TaskReply:
         if result is not None:
-            result.energy += self._delivered
             self.dock_result = result
         elif end is not End.LOST:  # it never began
-            self.dock_result = unknown_dock(self._end_effector, self._delivered)
+            self.dock_result = unknown_dock(self._end_effector)
         return read_dock(number, end, result, feedback)
 
 
@@ -182,12 +179,9 @@ def read_dock(number: int, end: End, result: Any, feedback: Any) -> TaskReply:
     base = _suggested_base(pose.pose) if pose is not None and pose.header.frame_id else None
     code = Code(result.error_code) if result.error_code in set(Code) else Code.INTERNAL
     ended = End.DONE if result.success else End.FAILED if end is End.DONE else end
-    energy = getattr(result, "energy", 0.0)
-    unmeasured = math.isnan(energy) and math.isnan(result.charge_current)
+    unmeasured = math.isnan(getattr(result, "energy", 0.0)) and math.isnan(result.charge_current)
     message = cut(result.error_message)
-    return TaskReply(
-        number, ended, code, message, result.retriable, suggested=base, unmeasured=unmeasured, energy=energy
-    )
+    return TaskReply(number, ended, code, message, result.retriable, suggested=base, unmeasured=unmeasured)
 
 
 def read_drive(number: int, end: End, result: Any, feedback: Any) -> TaskReply:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -28,7 +27,6 @@ from .missions import (
     Answer,
     Truth,
     World,
-    dock,
     drive,
     ends,
     fails,
@@ -269,56 +267,6 @@ def test_an_unmeasured_charge_is_not_claimed_and_has_the_time_limit_of_charging(
     outcome = quick({Task.DOCK: rests(400.0)}).run()
     assert (outcome.code, outcome.returned) == (Code.TIMEOUT, True)
     assert "300 s" in outcome.message
-
-
-STOPPED = fails(Code.NO_CHARGE_CURRENT, True, 60.0, charging=True)
-
-
-@pytest.mark.parametrize(
-    ("docking", "dockings", "code"),
-    [
-        ((STOPPED, dock), 2, Code.NONE),
-        ((STOPPED, STOPPED, dock), 3, Code.NONE),
-        ((STOPPED,), 3, Code.NO_CHARGE_CURRENT),
-        ((fails(Code.SHORT_CIRCUIT, False, 60.0, charging=True),), 1, Code.SHORT_CIRCUIT),
-        ((fails(Code.NO_CHARGE_CURRENT, True),), 1, Code.NO_CHARGE_CURRENT),
-    ],
-    ids=["passes", "passes at last", "lasts", "not retriable", "before charging"],
-)
-def test_a_failure_that_may_pass_while_charging_is_docked_again_twice_at_most(
-    docking: tuple[Answer, ...], dockings: int, code: Code
-) -> None:
-    world = quick({Task.DOCK: in_turn(*docking)})
-    outcome = world.run()
-    assert (outcome.code, outcome.returned, len(world.bases)) == (code, True, dockings), outcome
-    assert world.stages.count(Stage.UNDOCK) == dockings
-
-
-@pytest.mark.parametrize(
-    ("goal", "delivered", "left"),
-    [
-        (MissionGoal(TARGET, target_profile="lead"), math.nan, (0.0, 0.0)),
-        (MissionGoal(TARGET, 1000.0, 100.0), 400.0, (600.0, 40.0)),
-        (MissionGoal(TARGET, 1000.0), math.nan, None),
-        (MissionGoal(TARGET, 0.0, 50.0), 400.0, None),
-    ],
-    ids=["no limit", "rest", "unknown", "time is up"],
-)
-def test_a_second_docking_charges_what_is_left(
-    goal: MissionGoal, delivered: float, left: tuple[float, float] | None
-) -> None:
-    def stops(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
-        after, reply = STOPPED(world, request) or (0.0, TaskReply(0, End.LOST))
-        return after, replace(reply, energy=delivered)
-
-    world = quick({Task.DOCK: in_turn(stops, dock)})
-    world.run(goal)
-    wishes = [request.goal for request in world.requests if request.goal is not None]
-    assert wishes[0] == goal
-    if left is None:
-        assert len(wishes) == 1
-    else:
-        assert wishes[1:] == [replace(goal, stop_energy=left[0], stop_after=pytest.approx(left[1], abs=0.3))]
 
 
 @pytest.mark.parametrize("task", list(Task))
