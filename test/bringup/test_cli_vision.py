@@ -4,8 +4,6 @@
 from __future__ import annotations
 
 import math
-import shutil
-import sys
 from array import array
 from pathlib import Path
 from typing import Any
@@ -143,23 +141,6 @@ def test_without_depth_the_image_alone_is_used(files: Path, tmp_path: Path, caps
     near(found)
 
 
-@pytest.mark.parametrize(
-    ("words", "noun"),
-    [
-        ("none.png --camera-info k.yaml", "none.png"),
-        ("k.yaml --camera-info k.yaml", "image"),
-        ("a.png --camera-info k.yaml --terminal k.yaml", "camera_matrix"),
-    ],
-)
-def test_a_wrong_file_is_named(
-    files: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch, words: str, noun: str
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    for name in ("a.png", "k.yaml"):
-        shutil.copy(files / name, name)
-    refuses(capsys, f"vision detect {words}", noun)
-
-
 def record(path: Path, *images: tuple[str, Array, int], info: bool = True) -> Path:
     """Write images (topic, pixels, stamp), and their intrinsics unless without `info`."""
     pytest.importorskip("mcap", reason="reads recordings with deltacharger[record]")
@@ -218,8 +199,3 @@ def test_topics_and_intrinsics_can_be_given_and_unmatched_images_are_refused(
     code, found = detect(capsys, path, *topics.split(), "--camera-info", files / "k.yaml")
     assert (code, found["results"][0]["source"]) == (0, "both")
     near(found["results"][0])
-
-
-def test_without_opencv_it_ends_with_2(files: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "cv2", None)
-    refuses(capsys, f"vision detect {files}/a.png --camera-info {files}/k.yaml", "deltacharger[vision]")

@@ -10,10 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from deltacharger_core import environment, runtime
-from deltacharger_scenes.scene import Scene
-
-from ..chargers import Process, wait_until
+from ..chargers import Process
 from ..marks import night, rest
 from .command import Capture, answer
 
@@ -69,29 +66,6 @@ def test_a_closed_terminal_ends_up_in_order_and_a_second_charger_is_refused_at_o
     assert up().end(signal.SIGINT) == 130
 
 
-@pytest.mark.rest
-def test_a_charger_of_separate_processes_uses_the_same_lock(
-    start: Run, run: Run, quick_scene: Scene, namespace: str
-) -> None:
-    from ..running_charger import node_command
-
-    words = node_command(quick_scene, "docking_node", namespace)
-    lock = runtime.charger(environment.domain(), namespace).with_suffix(".lock")
-
-    def holds(process: Process) -> bool:
-        return lock.exists() and lock.read_text(encoding="utf-8").strip() == str(process.process.pid)
-
-    first = start(*words)
-    wait_until(lambda: holds(first), "the lock of the first process")
-    for second in (start(*words), run("up")):
-        assert second.end() == 2, second.err
-        assert sum(f"process {first.process.pid}" in line for line in second.err) == 1, second.err
-    assert first.end(signal.SIGKILL) == -signal.SIGKILL
-    third = start(*words)
-    wait_until(lambda: holds(third), "the lock of the next process")
-    assert third.end(signal.SIGTERM) == 0, third.err
-
-
 @pytest.mark.night
 def test_a_charger_without_the_lock_is_found_over_ros_and_not_disturbed(
     up: Run, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -116,12 +90,6 @@ def test_ctrl_c_ends_dock_and_the_charger_it_started_with_130_and_one_object(run
     assert ended["success"] is False
     if presses == 1:  # a second one abandons the result, unless both arrive as one
         assert (ended["charger"], ended["error_name"]) == ("started", "CANCELED")
-
-
-@pytest.mark.rest
-def test_a_refused_docking_ends_with_1_and_its_code(run: Run) -> None:
-    ended = result(run("dock", "--x-mm", "200", "--json", "--no-picture"), 1)
-    assert (ended["error_name"], ended["success"], bool(ended["suggested_base_pose"])) == ("UNREACHABLE", False, True)
 
 
 @pytest.mark.rest

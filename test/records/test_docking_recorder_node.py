@@ -25,7 +25,7 @@ from deltacharger_records.replay.words import why
 from deltacharger_ros.log import Log
 from deltacharger_ros.messages import PHASES
 from deltacharger_ros.outcomes import DockRequest, Pose, Progress
-from deltacharger_scenes.overrides import RECORDER, recorder_alone, with_recorder
+from deltacharger_scenes.overrides import RECORDER, with_recorder
 from deltacharger_scenes.scene import Scene
 
 from ..running_charger import RunningCharger
@@ -111,12 +111,3 @@ def test_without_mcap_the_node_runs_and_names_what_to_install(
     found = wait_until(lambda: [each for each in heard if each.name == f"{namespace}/{RECORDER}: recording"], "status")
     assert (found[0].level, found[0].message, logged) == (DiagnosticStatus.ERROR, node.problem, [node.problem])
     assert "install deltacharger[record]" in node.problem
-
-
-def test_a_scene_without_a_recorder_starts_none(quick_scene: Scene) -> None:
-    assert RECORDER not in quick_scene.nodes
-    assert with_recorder(quick_scene, None) is quick_scene
-    scene = with_recorder(quick_scene, "/records")
-    assert scene.node_parameters(RECORDER, {}) == {"scene": "quick", "folder": "/records"}
-    assert scene.start_order()[-2:] == [RECORDER, "docking_node"], "docking_node closes first, and is still recorded"
-    assert recorder_alone(quick_scene, "/records").nodes == (RECORDER,)

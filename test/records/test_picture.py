@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -66,12 +65,6 @@ def test_hours_of_charging_are_compressed_to_the_width_of_a_docking() -> None:
 def test_the_title_tells_how_it_ended(result: Outcome | None, charged: float, last: str, title: str) -> None:
     run = Run(phases=[Phase(last, 0.0, 1.0)], charged=charged, results=[result] if result else [])
     assert headline(run)[0] == title
-
-
-def test_without_matplotlib_the_message_states_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(PictureError, match=r"deltacharger\[picture\]"):
-        draw(Run(), tmp_path / "dock.png")
 
 
 def test_a_series_stays_bounded_and_keeps_its_span() -> None:

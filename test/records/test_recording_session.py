@@ -130,21 +130,6 @@ def test_the_target_is_measured_at_the_commanded_pose(degrees: float) -> None:
     assert math.dist(bench.charger.world.snapshot().position, (0.0, 0.0, 0.0)) < 0.003
 
 
-def test_between_dockings_the_arm_stays_before_the_target_and_the_pads_are_tared_once() -> None:
-    bench, lowest = Bench(), []
-    bench.start([CommandedPose(0.0, 0.0, 0.0)] * 2)
-
-    def ended() -> bool:
-        if len(bench.ear.kept_rows) == 1:
-            lowest.append(bench.charger.world.snapshot().position[2])
-        return bench.charger.outcome is not None
-
-    bench.charger.until(ended, LIMIT)
-    assert bench.asked.count(Service.TARE) == 1
-    assert min(lowest) > 0.050
-    bench.assert_safe()
-
-
 @pytest.mark.parametrize("state", [State.APPROACH, State.MEASURE, State.RETRACT])
 def test_a_cancel_in_any_step_returns_the_arm_home_and_switches_the_torque_off(state: State) -> None:
     bench = Bench()

@@ -199,15 +199,6 @@ def test_two_chargers_in_one_recording_need_a_namespace(tmp_path: Path, capsys: 
     assert replay(path, "right").outcome()["name"] == "STUCK"
 
 
-@pytest.mark.rest
-def test_it_is_drawn(tapes: Path, tmp_path: Path, capsys: Capture) -> None:
-    pytest.importorskip("matplotlib", reason="pictures need deltacharger[picture]")
-    refuses(capsys, f"replay {tapes}/tilted.mcap --picture {tmp_path}/no/run.png", "--picture")
-    picture = tmp_path / "run.png"
-    assert run(capsys, "replay", tapes / "tilted.mcap", "--picture", picture)[0] == 0
-    assert (picture.read_bytes()[:4], picture.stat().st_size > 20_000) == (b"\x89PNG", True)
-
-
 @pytest.mark.parametrize(
     ("topic", "old", "new"),
     [
@@ -227,17 +218,6 @@ def test_a_recording_of_messages_with_other_fields_is_refused_by_name(
         path = write(tmp_path / "a.mcap", docking(*refused(Code.NO_CONTACT, "nothing is there")))
     for command in ("replay", "view --save a.rrd --recording") if find_spec("rerun") else ("replay",):
         refuses(capsys, f"{command} {path}", f"{NAMES[topic]} has other fields")
-
-
-@pytest.mark.parametrize("definition", ["", "# a remark\n{}\nuint8 STATE_NEW = 99\n"])
-def test_comments_and_constants_do_not_matter_and_a_bag_may_lack_definitions(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, definition: str
-) -> None:
-    schema_text = mcap_recording.schema_text
-    with monkeypatch.context() as patch:
-        patch.setattr(mcap_recording, "schema_text", lambda kind: definition.format(schema_text(kind)))
-        path = write(tmp_path / "a.mcap", docking(*refused(Code.NO_CONTACT, "nothing is there")))
-    assert replay(path).outcome()["name"] == "NO_CONTACT"
 
 
 LIMBS = (LimbAdjustment(arm=0.101), LimbAdjustment(angle_offset=0.05), LimbAdjustment())

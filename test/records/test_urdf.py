@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
@@ -12,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from numpy.typing import NDArray
 
 from deltacharger_kinematics import Delta, DeltaGeometry
@@ -228,50 +226,3 @@ def test_the_node_publishes_them_and_nothing_while_a_servo_is_silent(context: An
     assert list(came[0].name) == list(expected)
     assert list(came[0].position) == pytest.approx(list(expected.values()), abs=1e-12)
     assert came[0].header.stamp.sec >= 2
-
-
-def wired(argv: list[str] | None = None, **arguments: str) -> list[Any]:
-    """Return the nodes of launch/view.launch.py, which publishes the xacro's model with the given files."""
-    launch = pytest.importorskip("launch", reason="launch comes with a ROS installation, not from PyPI")
-    pytest.importorskip("launch_ros", reason="launch_ros comes with a ROS installation, not from PyPI")
-    pytest.importorskip("xacro", reason="`pip install xacro`, or a ROS installation")
-    spec = importlib.util.spec_from_file_location("view_launch", LAUNCH)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    context = launch.LaunchContext(argv=argv)
-    for argument in module.generate_launch_description().get_launch_arguments():
-        default = "".join(part.perform(context) for part in argument.default_value)
-        context.launch_configurations[argument.name] = arguments.get(argument.name, default)
-    found: list[Any] = module._wire(context)
-    return found
-
-
-def text_of(node: Any) -> str:
-    """Return the parameters of a node."""
-    return str([getattr(value, "value", value) for value in node._Node__parameters[0].values()])
-
-
-@pytest.mark.parametrize("argument", ["charger_geometry_file", "charger_mount_file"])
-def test_an_unreadable_file_is_reported_in_one_line(argument: str, tmp_path: Path) -> None:
-    wrong = tmp_path / "wrong.yaml"
-    for noun in ("No such file", "armm"):
-        with pytest.raises(ValueError, match=rf"^{argument}: .*{wrong}.*{noun}[^\n]*$"):
-            wired(**{argument: str(wrong)})
-        wrong.write_text("armm: 0.1\n", encoding="utf-8")
-
-
-@pytest.mark.parametrize(
-    ("argument", "prefix", "link", "joint"),
-    [
-        ("joint_prefix", "left_", "charger_base", "left_limb_0"),
-        ("frame_prefix", "l/", "l/charger_base", "limb_0"),
-    ],
-)
-def test_a_prefix_reaches_the_model_and_its_joint_states(argument: str, prefix: str, link: str, joint: str) -> None:
-    publisher, joints, _ = wired(**{f"charger_{argument}": prefix})
-    assert f'link name="{link}"' in text_of(publisher)
-    assert f'joint name="{joint}_arm_joint"' in text_of(publisher)
-    parameters = {"".join(part.text for part in key): value for key, value in joints._Node__parameters[0].items()}
-    assert yaml.safe_load("".join(part.text for part in parameters[argument])) == prefix

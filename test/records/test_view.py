@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import math
 import signal
 import socket
@@ -133,24 +132,6 @@ def test_without_a_screen_the_message_names_alternatives(capsys: Capture, monkey
     refuses(capsys, "view", "--save")
 
 
-@pytest.mark.rest
-def test_a_running_charger_is_shown_live(
-    start: Callable[..., Process], deltacharger: tuple[str, ...], tmp_path: Path, context: Any, quick_scene: Any
-) -> None:
-    from deltacharger_scenes.composition import Composition
-
-    namespace, path = new_namespace(), tmp_path / "live.rrd"
-    with Composition(quick_scene, context, namespace):
-        words = ("--save", str(path), "--stop-after-s", "4", "--json")
-        process = start(*deltacharger, "view", "--namespace", namespace, *words)
-        assert process.end() == 0, process.err
-    result = json.loads(process.out[-1])
-    assert (result["silent"], result["messages"]["servo_state"] > 10) == ([], True)
-    live = Recording(path)
-    assert {"charger/arms", "pads/left", "plots/contact/band", "state/1_docking"} <= live.entities
-    assert len(live.scalars("plots/contact/measured")) < result["messages"]["servo_state"]
-
-
 @pytest.fixture
 def port() -> int:
     """Return a port that is free together with the next one."""
@@ -190,9 +171,3 @@ def test_the_page_is_served_only_on_this_computer_until_the_end(
     assert [name for name in names if f"/{namespace}/{name}" not in silent] == []
     assert process.end(signal.SIGINT) == 130
     wait_until(lambda: not _serves(port) and not _serves(port + 1), "both ports closed")
-
-
-@pytest.mark.parametrize("offset", [0, 1])
-def test_a_port_in_use_is_reported(capsys: Capture, port: int, offset: int) -> None:
-    with socket.create_server(("127.0.0.1", port + offset)):
-        refuses(capsys, f"view --web 127.0.0.1:{port}", f"port {port + offset}", 1)

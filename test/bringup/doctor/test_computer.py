@@ -13,13 +13,12 @@ from typing import Any
 
 import pytest
 
-from deltacharger_bringup.doctor.environment import RosProbe, examine_settings
+from deltacharger_bringup.doctor.environment import examine_settings
 from deltacharger_bringup.doctor.findings import Finding, checked, ok
 from deltacharger_bringup.doctor.ports import examine_camera
 from deltacharger_bringup.doctor.ros_probe import running
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 
-from ...chargers import new_namespace
 from ...emulated_ports import IDS
 from ..command import Capture, answer, run
 from .test_devices import named, parts
@@ -59,26 +58,6 @@ def test_a_missing_camera_is_reported_but_never_wrong(tmp_path: Path) -> None:
     (tmp_path / "2-1" / "idVendor").write_text("03e7\n")
     present = " ".join(finding.message for finding in examine_camera(2, tmp_path) if finding.level == "ok")
     assert ("an OAK" in present, "2 publishers" in present) == (True, True)
-
-
-@pytest.mark.ros
-@pytest.mark.rest
-def test_a_running_charger_is_named(context: Any) -> None:
-    from deltacharger.msg import DockingState
-    from rclpy.node import Node
-
-    node = Node("docking_node", context=context, namespace=new_namespace())
-    node.create_publisher(DockingState, "docking_state", 1)
-    probe = RosProbe()
-    try:
-        found = list(probe.examine())
-    finally:
-        probe.close()
-        namespace = node.get_namespace()
-        node.destroy_node()
-    assert not parts(found, "wrong")
-    named(found, ("hint", "charger", namespace))
-    assert {finding.part for finding in found} >= {"rclpy", "interfaces", "numpy and ROS", "ros middleware"}
 
 
 @pytest.mark.parametrize("silent", ["", "a charger's answers do not arrive: run both as one user"])
