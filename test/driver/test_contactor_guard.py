@@ -243,12 +243,6 @@ def test_a_weld_forbids_close_and_probe_by_name_until_a_person_clears_it(charger
     charger.guard.probe()
 
 
-def test_a_probe_while_closed_is_refused(charger: Charger) -> None:
-    charger.close()
-    with pytest.raises(LeaseRefused, match="'dock'"):
-        charger.guard.probe()
-
-
 def test_an_open_does_not_wait_for_a_probe_and_voids_it(charger: Charger) -> None:
     charger.on_probe = charger.guard.open
     with pytest.raises(LeaseRefused, match="opened"):

@@ -27,7 +27,6 @@ from deltacharger_driver.servos.link import ServoLink
 from ..emulated_ports import Babbler, use_protocol_1, written
 from ..marks import rest
 from ..plants import BenchArm
-from ..waiting import wait_until
 
 _TIOCGEXCL = 0x80045440  # <asm-generic/ioctls.h>; Python's termios lacks it
 
@@ -107,32 +106,6 @@ def test_the_systems_error_number_decides(
     with pytest.raises(PortError, match=words) as caught:
         open_serial(board_port, 1_000_000)
     assert type(caught.value) is error
-
-
-class Echo(Babbler):
-    """Returns received bytes and counts its polls."""
-
-    polled = 0
-
-    def poll(self, now: float) -> bytes:
-        self.polled += 1
-        return b""
-
-    def next_event(self, now: float) -> float:
-        return 0.005
-
-
-def test_an_unplugged_device_keeps_working_and_is_found_again_by_its_link(tmp_path: Path) -> None:
-    device = Echo()
-    with PseudoTerminal(device, tmp_path / "port") as cable:
-        cable.unplug()
-        assert not os.path.lexists(cable.path)
-        before = device.polled
-        wait_until(lambda: device.polled > before + 5)
-        cable.replug()
-        with serial.Serial(cable.path, timeout=5.0) as port:
-            port.write(b"hello")
-            assert port.read(5) == b"hello"
 
 
 @pytest.mark.parametrize("speeds", [(3, 1, 3), rest((0, 1, 2)), rest((4, 5, 6))])

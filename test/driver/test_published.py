@@ -129,15 +129,6 @@ def test_the_status_follows_the_measured_current(power: PowerSample | None, own:
     assert target_battery(power).power_supply_status == target
 
 
-@pytest.mark.parametrize(
-    ("volts", "present"), [(NAN, False), (0.0, False), (5.0, False), (10.0, True), (-24.0, True), (29.8, True)]
-)
-def test_a_battery_is_present_above_the_voltage_of_a_probe(volts: float, present: bool) -> None:
-    for battery in (own_battery(sample(battery=volts)), target_battery(sample(target=volts))):
-        assert battery.present == present
-        assert battery.voltage == pytest.approx(volts, nan_ok=True)
-
-
 @pytest.mark.parametrize("power", [None, sample(), sample(current=10.0, closed=True)])
 def test_unmeasured_values_are_unknown(power: PowerSample | None) -> None:
     for battery in (own_battery(power), target_battery(power)):
@@ -145,8 +136,3 @@ def test_unmeasured_values_are_unknown(power: PowerSample | None) -> None:
             assert math.isnan(getattr(battery, name)), name
         assert battery.power_supply_health == battery.power_supply_technology == UNKNOWN
     assert math.isnan(own_battery(power).current), "it feeds servos and computer, too"
-
-
-def test_the_current_of_the_target_is_positive_into_it() -> None:
-    assert target_battery(sample(current=10.0, closed=True)).current == 10.0
-    assert math.isnan(target_battery(sample(target=NAN, current=0.0)).current)

@@ -178,18 +178,6 @@ def test_a_mixture_is_refused_by_name(make: Callable[[ServoType], Arm]) -> None:
     assert arm.plant.torque_enabled() == [False] * 3
 
 
-def test_servos_of_another_type_are_refused_at_a_reconnection(make: Callable[[ServoType], Arm]) -> None:
-    arm = make(XM430_W350)
-    bus = arm.bus()
-    bus.open()
-    bus.close()
-    for servo in (1, 2, 3):
-        arm.emulator.servo(servo).table.set("model", 311)
-    with pytest.raises(HandshakeError, match=r"servo 1 is MX-64 .*as before: restart servo_node"):
-        bus.open()
-    assert bus.drive.servo is XM430_W350
-
-
 @pytest.mark.ros
 @pytest.mark.parametrize("given", [{}, {"torque_constant": 1.463, "position_p_gain": 500}])
 def test_servo_node_shows_and_uses_the_types_values_unless_they_are_given(context: Any, given: dict[str, Any]) -> None:

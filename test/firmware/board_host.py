@@ -6,7 +6,6 @@ from __future__ import annotations
 import contextlib
 import math
 import subprocess
-import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar
@@ -15,8 +14,6 @@ import numpy as np
 
 from deltacharger_core.machine import COLUMNS, ROWS
 from deltacharger_driver.emulators.power import StageReading
-from deltacharger_driver.emulators.wire import WireFaults
-from deltacharger_driver.packets import cobs_decode
 
 from ..borrowed import anew, borrowed_tests
 
@@ -37,24 +34,19 @@ class BoardHost:
         command = [program, "--seed", str(seed), "--step", str(now)]
         pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
         self._process = subprocess.Popen(command, text=True, bufsize=1, **pipes)
-        self._lock = threading.Lock()
-        self.idle = 0  # us until the next poll is due, from the last answer that advanced time
 
     def command(self, line: str) -> str:
         """Send a line and return the answer."""
-        with self._lock:
-            with contextlib.suppress(BrokenPipeError):
-                self._process.stdin.write(line + "\n")
-            answer = self._process.stdout.readline()
+        with contextlib.suppress(BrokenPipeError):
+            self._process.stdin.write(line + "\n")
+        answer = self._process.stdout.readline()
         assert answer, f"the board died of '{line[:80]}':\n{self._process.stderr.read()}"
         assert not answer.startswith("error"), f"{line[:80]}: {answer}"
         return answer.rstrip("\n")
 
     def sent(self, line: str) -> bytes:
         """Send a line that advances time and return the bytes sent to the host."""
-        _, data, _, idle = self.command(line).split(" ")
-        self.idle = int(idle)
-        return bytes.fromhex(data)
+        return bytes.fromhex(self.command(line).split(" ")[1])
 
     def state(self) -> dict[str, float]:
         """Return the state of board and bench."""
@@ -152,10 +144,7 @@ class FirmwarePlant:
 
 
 class FirmwareBoard:
-    """The firmware with `BoardEmulator`'s methods, for the driver's tests and for a `PseudoTerminal`.
-
-    Thread-safe. Time is the caller's, in s. It has no servos' bus.
-    """
+    """The firmware with `BoardEmulator`'s methods, for the driver's tests; time is the caller's, in s."""
 
     program: ClassVar[Path]
     started: ClassVar[list[FirmwareBoard]] = []
@@ -170,10 +159,8 @@ class FirmwareBoard:
         plant.board = self
         self.host = BoardHost(self.program, seed=1 if seed is None else seed)
         self.started.append(self)
-        self.faults = WireFaults(seed)
         self._plant = plant
         self._known: dict[str, str] = {}
-        self._lock = threading.RLock()
         self._boot_wanted = True
         self._polled = 0
         self.host.command(f"probe_time {round(probe_time * 1e6)}")
@@ -212,28 +199,16 @@ class FirmwareBoard:
 
     def receive(self, data: bytes, now: float) -> bytes:
         """Take bytes from the host at `now` and return what the board sends."""
-        with self._lock:
-            sent = self.poll(now)
-            if not self.faults.deaf:
-                sent += self._damaged(self.host.sent(f"wire {data.hex()}"))
-            return sent
+        return self.poll(now) + self.host.sent(f"wire {data.hex()}")
 
     def poll(self, now: float) -> bytes:
         """Return what the board sends on its own at `now`."""
-        with self._lock:
-            sent = b"" if self._boot_wanted or not self._plant.modelled else self._step_plant(round(now * 1e6))
-            self._tell_plant()
-            self._polled = round(now * 1e6)
-            line = f"{'boot' if self._boot_wanted else 'advance'} {self._polled}"
-            self._boot_wanted = False
-            return sent + self._damaged(self.host.sent(line))
-
-    def next_event(self, now: float) -> float:
-        """Return the seconds until `poll` is due."""
-        with self._lock:
-            if self._boot_wanted:
-                return 0.0
-            return max((self._polled + self.host.idle) * 1e-6 - now, 0.0)
+        sent = b"" if self._boot_wanted or not self._plant.modelled else self._step_plant(round(now * 1e6))
+        self._tell_plant()
+        self._polled = round(now * 1e6)
+        line = f"{'boot' if self._boot_wanted else 'advance'} {self._polled}"
+        self._boot_wanted = False
+        return sent + self.host.sent(line)
 
     def _step_plant(self, until: int) -> bytes:
         """Advance board and modelled target, 1 ms a step while it is driven; return what the board sends."""
@@ -244,7 +219,7 @@ class FirmwareBoard:
             self._plant.step(1e-6 * step, state, self._stage_voltage)
             self._tell_plant()
             self._polled += step
-            sent += self._damaged(self.host.sent(f"advance {self._polled}"))
+            sent += self.host.sent(f"advance {self._polled}")
         return sent
 
     def _tell_plant(self) -> None:
@@ -253,14 +228,7 @@ class FirmwareBoard:
                 self.host.command(f"{name} {value}")
                 self._known[name] = value
 
-    def _damaged(self, data: bytes) -> bytes:
-        """Apply the wire's faults packet by packet; the firmware sends complete ones."""
-        pieces = [piece for piece in data.split(b"\0") if piece]
-        return b"".join(self.faults.apply(b"\0" + piece + b"\0", cobs_decode(piece)[1]) for piece in pieces)
 
-
-def on_firmware(name: str, without: set[str] | None = None, mark: Any = None) -> dict[str, object]:
-    """Return a driver test module's tests, marked, and fixtures, with the firmware as board and its bench."""
-    module = anew(name, "tests_on_firmware", BoardEmulator=FirmwareBoard, BenchPlant=FirmwarePlant)
-    borrowed = borrowed_tests(module, without or set())
-    return {key: mark(test) if mark and key.startswith("test_") else test for key, test in borrowed.items()}
+def on_firmware(name: str) -> dict[str, object]:
+    """Return a driver test module's tests and fixtures, with the firmware as board and its bench."""
+    return borrowed_tests(anew(name, "tests_on_firmware", BoardEmulator=FirmwareBoard, BenchPlant=FirmwarePlant), set())
