@@ -1,16 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A substitute of an RGB-D driver: repeats one image of a target at a known pose, with faults on request."""
+"""A substitute of an RGB-D driver: repeats one image of a target at a known pose again and again."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from deltacharger.srv import DetectElectrodes
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
@@ -38,18 +36,15 @@ def picture(target: bool = True) -> RgbdImage:
 
 
 class Driver(Node):
-    """An RGB-D driver that repeats one image at 20 Hz, with faults on request."""
+    """An RGB-D driver that repeats one image at 20 Hz."""
 
     def __init__(self, context: Any, namespace: str) -> None:
         super().__init__("driver", **options(context, namespace))
         self.color = self.create_publisher(Image, "color/image_raw", qos_profile_sensor_data)
         self.depth = self.create_publisher(Image, "depth/image_raw", qos_profile_sensor_data)
         self.info = self.create_publisher(CameraInfo, "color/camera_info", qos_profile_sensor_data)
-        self.image, self.age, self.apart, self.silent = picture(), 0.0, 0.0, False
-        self.spoil: Callable[[Image, Image, CameraInfo], None] = lambda color, depth, info: None
+        self.image = picture()
         self.client = self.create_client(DetectElectrodes, "detect_electrodes")
-        self.said: list[DiagnosticStatus] = []
-        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self.create_timer(1e-9 * PERIOD, self._publish)
 
     @property
@@ -60,25 +55,11 @@ class Driver(Node):
         return call(self.client, DetectElectrodes.Request(timeout=duration(timeout)))
 
     def _publish(self) -> None:
-        if self.silent:
-            return
         now = self.get_clock().now().nanoseconds
-        now -= now % PERIOD + round(1e9 * self.age)  # a camera exposes by its own clock, even if it is served late
-        messages = []
-        for make, content, late in (
-            (color_message, self.image.color, 0.0),
-            (depth_message, self.image.depth, self.apart),
-            (camera_info_message, self.image.intrinsics, 0.0),
-        ):
-            messages.append(make(content, stamp(now + round(1e9 * late))))
-        color, depth, info = messages
-        self.spoil(color, depth, info)
-        self.info.publish(info)
-        self.color.publish(color)
-        self.depth.publish(depth)
-
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        self.said += [each for each in message.status if each.name.startswith(f"{self.get_namespace()[1:]}/")]
+        exposed = stamp(now - now % PERIOD)  # a camera exposes by its own clock, even if it is served late
+        self.info.publish(camera_info_message(self.image.intrinsics, exposed))
+        self.color.publish(color_message(self.image.color, exposed))
+        self.depth.publish(depth_message(self.image.depth, exposed))
 
 
 def stamp(nanoseconds: int) -> Time:

@@ -121,12 +121,9 @@ def test_a_request_is_refused_with_its_reason_and_without_a_pose(node: NodeMaker
     assert "timeout" in asked(made, [shot(made, seen)], timeout=-1.0).message
 
 
-@pytest.mark.parametrize("timeout", [0.1, 10.0])
-def test_a_request_ends_in_time_if_detection_is_slower_than_the_camera(
-    node: NodeMaker, seen: RgbdImage, timeout: float
-) -> None:
+def test_a_request_ends_in_time_if_detection_is_slower_than_the_camera(node: NodeMaker, seen: RgbdImage) -> None:
     transforms()
-    made = node(mount_from_tf=True, transform_timeout=timeout)
+    made = node(mount_from_tf=True, transform_timeout=10.0)
     began = time.monotonic()
     answer = asked(made, (shot(made, seen) for _ in itertools.count()), 0.3)
     assert time.monotonic() - began < 5.0

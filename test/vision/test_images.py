@@ -1,35 +1,51 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arrays and files become RGB and metres; intrinsics and lens distortion."""
+"""Arrays, files and messages become RGB, metres and intrinsics; lens distortion; colour and depth pair by stamp."""
 
 from __future__ import annotations
 
+import itertools
 import math
 import sys
+from array import array
+from collections.abc import Iterable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from deltacharger_vision.cameras.ros_formats import Readout, color_array, depth_array, from_camera_info
 from deltacharger_vision.errors import CameraInfoError, ImageError
-from deltacharger_vision.image_files import read_color, read_depth, read_rgbd, write_picture
-from deltacharger_vision.images import Intrinsics, RgbdImage, distort, undistort
+from deltacharger_vision.image_files import load_camera_info, read_color, read_depth, read_rgbd, write_picture
+from deltacharger_vision.images import (
+    COLOR,
+    DEPTH,
+    STAMP_TOLERANCE,
+    Intrinsics,
+    RgbdImage,
+    StampMatcher,
+    distort,
+    undistort,
+)
 
 from .views import DISTORTIONS
 
 cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
 CAMERA = Intrinsics(64, 40, 44.0, 44.0, 31.5, 19.5)
-COLOR = np.arange(40 * 64 * 3, dtype=np.uint32).reshape(40, 64, 3).astype(np.uint8)
-DEPTH = np.full((40, 64), 0.3, dtype=np.float32)
+PIXELS = np.arange(40 * 64 * 3, dtype=np.uint32).reshape(40, 64, 3).astype(np.uint8)
+METRES = np.full((40, 64), 0.3, dtype=np.float32)
 
 
 def test_every_kind_of_colour_becomes_the_same_rgb() -> None:
-    gray, alpha = COLOR[:, :, 0], np.full((40, 64, 1), 7, dtype=np.uint8)
-    for given in (COLOR, np.concatenate([COLOR, alpha], axis=2)):
-        np.testing.assert_array_equal(RgbdImage.make(given, DEPTH, CAMERA).color, COLOR)
-    for given in (gray, gray[:, :, None]):
-        np.testing.assert_array_equal(RgbdImage.make(given, DEPTH, CAMERA).color, gray[:, :, None].repeat(3, axis=2))
+    gray, alpha = PIXELS[:, :, 0], np.full((40, 64, 1), 7, dtype=np.uint8)
+    for each in (PIXELS, np.concatenate([PIXELS, alpha], axis=2)):
+        np.testing.assert_array_equal(RgbdImage.make(each, METRES, CAMERA).color, PIXELS)
+    for each in (gray, gray[:, :, None]):
+        np.testing.assert_array_equal(RgbdImage.make(each, METRES, CAMERA).color, gray[:, :, None].repeat(3, axis=2))
 
 
 @pytest.mark.parametrize("unknown", [0.0, np.inf, np.nan])
@@ -38,7 +54,7 @@ def test_every_kind_of_depth_becomes_metres_with_nan(kind: type, unknown: float)
     given = np.full((40, 64), 300 if kind is np.uint16 else 0.3, dtype=kind)
     given[3, 4] = (65535 if unknown else 0) if kind is np.uint16 else unknown
     for each in (given, given[:, :, None]):
-        got = RgbdImage.make(COLOR, each, CAMERA).depth
+        got = RgbdImage.make(PIXELS, each, CAMERA).depth
         assert got.dtype == np.float32
         assert np.argwhere(np.isnan(got)).tolist() == [[3, 4]]
         np.testing.assert_allclose(np.delete(got.ravel(), 3 * 64 + 4), 0.3, rtol=1e-6)
@@ -47,16 +63,16 @@ def test_every_kind_of_depth_becomes_metres_with_nan(kind: type, unknown: float)
 @pytest.mark.parametrize(
     ("color", "depth", "name", "words"),
     [
-        (COLOR, DEPTH[:, :50], "depth", "aligned"),
-        (COLOR[:, :, :2], DEPTH, "color", "RGBA"),
-        (COLOR.astype(np.uint16), DEPTH, "color", "8 bits"),
-        (COLOR[:0], DEPTH[:0], "color", "shape"),
-        (COLOR, DEPTH[:0], "depth", "shape"),
-        (COLOR, DEPTH * 1000, "depth", "millimetres"),
-        (COLOR, -DEPTH, "depth", "negative"),
-        (COLOR, DEPTH.astype(np.int32), "depth", "uint16"),
-        (COLOR[:, :60], DEPTH[:, :60], "intrinsics", "cuts or bins"),
-        (COLOR[:8, :8], DEPTH[:8, :8], "color", "16"),
+        (PIXELS, METRES[:, :50], "depth", "aligned"),
+        (PIXELS[:, :, :2], METRES, "color", "RGBA"),
+        (PIXELS.astype(np.uint16), METRES, "color", "8 bits"),
+        (PIXELS[:0], METRES[:0], "color", "shape"),
+        (PIXELS, METRES[:0], "depth", "shape"),
+        (PIXELS, METRES * 1000, "depth", "millimetres"),
+        (PIXELS, -METRES, "depth", "negative"),
+        (PIXELS, METRES.astype(np.int32), "depth", "uint16"),
+        (PIXELS[:, :60], METRES[:, :60], "intrinsics", "cuts or bins"),
+        (PIXELS[:8, :8], METRES[:8, :8], "color", "16"),
     ],
 )
 def test_invalid_arrays_are_refused(color: Any, depth: Any, name: str, words: str) -> None:
@@ -128,11 +144,11 @@ def test_a_png_keeps_its_pixels_and_the_order_of_its_channels(tmp_path: Path, sh
 def test_depth_keeps_its_values_and_an_rgbd_image_has_metres_and_unknowns(tmp_path: Path) -> None:
     millimetres = noise(np.uint16, 40, 64)
     np.testing.assert_array_equal(read_depth(stored(tmp_path / "a.png", millimetres)), millimetres)
-    for array in (millimetres, (millimetres * 1e-3).astype(np.float32), millimetres * 1e-3):
-        np.save(tmp_path / "a.npy", array)
+    for depth in (millimetres, millimetres * 1e-3):
+        np.save(tmp_path / "a.npy", depth)
         found = read_depth(tmp_path / "a.npy")
-        assert found.dtype == array.dtype
-        np.testing.assert_array_equal(found, array)
+        assert found.dtype == depth.dtype
+        np.testing.assert_array_equal(found, depth)
     color = stored(tmp_path / "a.png", noise(np.uint8, 40, 64, 3))
     depth = np.full((40, 64), 1234, dtype=np.uint16)
     depth[0, 0] = 0
@@ -171,4 +187,190 @@ def test_a_written_picture_reads_back_unchanged(tmp_path: Path) -> None:
 def test_a_missing_library_is_named_with_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, "cv2", None)
     with pytest.raises(ModuleNotFoundError, match=r"\[vision\]"):
-        read_color(stored(tmp_path / "a.png", COLOR))
+        read_color(stored(tmp_path / "a.png", PIXELS))
+
+
+CALIBRATION = """\
+image_width: 640
+image_height: 400
+camera_name: oak
+camera_matrix: {rows: 3, cols: 3, data: [441.0, 0, 320.1, 0, 442.0, 199.2, 0, 0, 1]}
+distortion_model: plumb_bob
+distortion_coefficients: {rows: 1, cols: 5, data: [-0.1, 0.02, 0.001, -0.002, 0.003]}
+"""
+ECHOED = """\
+height: 400
+width: 640
+distortion_model: plumb_bob
+d: [-0.1, 0.02, 0.001, -0.002, 0.003]
+k: [441.0, 0.0, 320.1, 0.0, 442.0, 199.2, 0.0, 0.0, 1.0]
+binning_x: 0
+roi: {x_offset: 0, y_offset: 0, height: 0, width: 0, do_rectify: false}
+---
+height: 1
+"""
+EXPECTED = Intrinsics(640, 400, 441.0, 442.0, 320.1, 199.2, (-0.1, 0.02, 0.001, -0.002, 0.003))
+K = [441.0, 0.0, 320.1, 0.0, 442.0, 199.2, 0.0, 0.0, 1.0]
+
+
+def loaded(folder: Path, text: str) -> Intrinsics:
+    path = folder / "camera.yaml"
+    path.write_text(text)
+    return load_camera_info(path)
+
+
+def test_both_formats_give_the_same_intrinsics(tmp_path: Path) -> None:
+    assert [loaded(tmp_path, text) for text in (CALIBRATION, ECHOED)] == [EXPECTED] * 2
+
+
+def test_no_missing_and_extra_coefficients_are_zero() -> None:
+    plain = Intrinsics(640, 400, 441.0, 442.0, 320.1, 199.2)
+    for d, model in (([], ""), ([], "none"), ([0.0] * 5, "none"), ([0.0] * 5, "plumb_bob"), ([0.0] * 14, "plumb_bob")):
+        assert from_camera_info(640, 400, K, d, model) == plain
+    four = from_camera_info(640, 400, K, [-0.1, 0.02, 0.001, -0.002], "plumb_bob")
+    assert four.distortion == (-0.1, 0.02, 0.001, -0.002, 0.0)
+    eight = (1.0, 2.0, 0.0, 0.0, 3.0, 4.0, 5.0, 6.0)
+    assert from_camera_info(640, 400, K, [*eight, *[0.0] * 6], "rational_polynomial").distortion == eight
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("441.0, 0, 320.1, 0, 442.0, 199.2, 0, 0, 1", "0, 0, 0, 0, 0, 0, 0, 0, 0", "calibrate the camera first"),
+        ("441.0, 0, 320.1", "441.0, 320.1", "has 8 numbers"),
+        ("441.0, 0, 320.1", "wide, 0, 320.1", "not a number"),
+        ("plumb_bob", "equidistant", "equidistant"),
+        ("plumb_bob", "none", "without a model"),
+        ("0.003]", "0.003, 0.5]", "rational_polynomial|plumb_bob"),
+        ("image_width: 640\n", "", "image_width"),
+        ("camera_name: oak", "binning_x: two", "roi or binning"),
+        ("camera_name: oak", "roi: {x_offset: 10, y_offset: 5, width: 640, height: 400}", "complete image"),
+    ],
+)
+def test_errors_of_a_bad_file_state_what_to_do(tmp_path: Path, old: str, new: str, words: str) -> None:
+    assert old in CALIBRATION
+    with pytest.raises(CameraInfoError, match=words) as caught:
+        loaded(tmp_path, CALIBRATION.replace(old, new))
+    assert str(tmp_path) in caught.value.source
+
+
+@pytest.mark.parametrize(
+    ("readout", "seen"),
+    [
+        (Readout(), Intrinsics(640, 400, 441.0, 442.0, 320.1, 199.2)),
+        (Readout(10, 20, 621, 361, 2, 2), Intrinsics(310, 180, 220.5, 221.0, 154.8, 89.35)),
+    ],
+)
+def test_region_and_binning_give_the_intrinsics_of_the_image_that_is_sent(readout: Readout, seen: Intrinsics) -> None:
+    found = from_camera_info(640, 400, K, [], "none", readout=readout)
+    wanted = {name: value if name == "distortion" else pytest.approx(value) for name, value in vars(seen).items()}
+    assert vars(found) == wanted
+
+
+RGB = np.random.default_rng(3).integers(0, 256, (18, 21, 3), dtype=np.uint8)
+
+
+def packed(pixels: np.ndarray, padding: int = 0) -> tuple[int, array[int]]:
+    """Return step and data of rows with some bytes of padding after each."""
+    flat = np.ascontiguousarray(pixels).view(np.uint8).reshape(pixels.shape[0], -1)
+    rows = np.pad(flat, ((0, 0), (0, padding)), constant_values=7)
+    return rows.shape[1], array("B", rows.tobytes())
+
+
+def message(encoding: str, height: int, width: int, step: int, data: Any, big: bool = False) -> SimpleNamespace:
+    fields = {"encoding": encoding, "height": height, "width": width, "step": step, "data": data}
+    return SimpleNamespace(**fields, is_bigendian=int(big))
+
+
+@pytest.mark.parametrize("padding", [0, 5])
+@pytest.mark.parametrize(
+    ("encoding", "order"),
+    [("rgb8", [0, 1, 2]), ("bgr8", [2, 1, 0]), ("8UC3", [2, 1, 0]), ("rgba8", [0, 1, 2, 0]), ("bgra8", [2, 1, 0, 0])],
+)
+def test_colour_is_converted_to_rgb(encoding: str, order: list[int], padding: int) -> None:
+    step, data = packed(RGB[:, :, order], padding)
+    assert np.array_equal(color_array(message(encoding, 18, 21, step, data)), RGB)
+
+
+@pytest.mark.parametrize(("big", "kind"), [(False, "<u2"), (True, ">u2")])
+def test_sixteen_bits_are_read_in_either_byte_order(big: bool, kind: str) -> None:
+    wide = RGB[:, :, 0].astype(np.uint16) * 256 + 3
+    assert np.array_equal(depth_array(message("16UC1", 18, 21, *packed(wide.astype(kind), 4), big)), wide)
+
+
+def test_gray_yuv_and_metres_keep_their_values() -> None:
+    gray, metres = RGB[:, :20, 0], np.array([[0.5, np.nan], [np.inf, 0.25]], dtype=np.float32)
+    yuyv = np.stack([gray, np.full((18, 20), 128, np.uint8)], axis=2)
+    for encoding, pixels in (("mono8", gray), ("yuv422_yuy2", yuyv), ("yuv422", yuyv[:, :, ::-1])):
+        assert np.array_equal(color_array(message(encoding, 18, 20, *packed(pixels))), gray)
+    assert np.array_equal(depth_array(message("32FC1", 2, 2, *packed(metres))), metres, equal_nan=True)
+
+
+@pytest.mark.parametrize(
+    ("read", "encoding", "height", "step", "size", "noun"),
+    [
+        (color_array, "bayer_rggb8", 18, 63, 18 * 63, "raw"),
+        (depth_array, "rgb8", 18, 63, 18 * 63, "16UC1"),
+        (color_array, "rgb8", 18, 62, 18 * 63, "color"),
+        (color_array, "rgb8", 18, 63, 900, "color"),
+        (color_array, "x" * 1_000_000, 18, 63, 18 * 63, "color"),
+    ],
+    ids=range(5),
+)
+def test_another_encoding_and_contradictory_fields_are_refused(
+    read: Any, encoding: str, height: int, step: int, size: int, noun: str
+) -> None:
+    with pytest.raises(ImageError, match=noun) as refused:
+        read(message(encoding, height, 21, step, bytes(size)))
+    assert len(str(refused.value)) < 1000
+
+
+PERIOD = 33_333_333  # ns, of 30 images a second
+MS = 1_000_000
+
+Arrival = tuple[str, int]
+
+arrivals = st.lists(st.tuples(st.sampled_from((COLOR, DEPTH)), st.integers(0, 400)), max_size=120)
+
+
+def paired(items: Iterable[Arrival], matcher: StampMatcher[Arrival] | None = None) -> list[tuple[int, int]]:
+    """Return the stamps of the colours and depths that are paired; each item is its own image."""
+    matcher, found = matcher or StampMatcher(), []
+    for kind, stamp in items:
+        pair = matcher.add_image(kind, stamp, (kind, stamp))
+        if pair is not None:
+            assert pair[1] == (COLOR, pair[0])
+            found.append((pair[0], pair[2][1]))
+    return found
+
+
+@given(items=arrivals)
+def test_pairs_are_near_and_in_order_and_memory_is_bounded(items: list[Arrival]) -> None:
+    matcher: StampMatcher[Arrival] = StampMatcher()
+    found = paired([(kind, stamp * MS) for kind, stamp in items], matcher)
+    assert all(abs(color - depth) <= STAMP_TOLERANCE for color, depth in found)
+    for one, two in itertools.pairwise(found):  # strictly: so nothing is returned twice
+        assert one[0] < two[0]
+        assert one[1] < two[1]
+    assert all(len(waiting) <= 8 for waiting in matcher._waiting.values())
+
+
+@given(st.integers(-7, 7), st.sets(st.integers(0, 39)), st.sets(st.integers(0, 39)), st.integers(0, 14))
+def test_simultaneous_images_are_paired_despite_losses(lead: int, lost: set[int], missed: set[int], apart: int) -> None:
+    """One kind arrives up to seven images after the other."""
+    colors = [(each, COLOR, each * PERIOD) for each in range(40) if each not in lost]
+    depths = [(each + lead, DEPTH, each * PERIOD + apart * MS) for each in range(40) if each not in missed]
+    both = [(each * PERIOD, each * PERIOD + apart * MS) for each in range(40) if each not in lost | missed]
+    assert paired((kind, stamp) for _, kind, stamp in sorted(colors + depths)) == both
+
+
+def test_setting_back_the_clock_begins_again() -> None:
+    again = [(kind, stamp * PERIOD) for stamp in range(3) for kind in (DEPTH, COLOR)]
+    late = (DEPTH, 10**18)
+    found = paired([*((kind, 10**12 + stamp) for kind, stamp in again), late, *again])
+    assert found[3:] == [(stamp * PERIOD, stamp * PERIOD) for stamp in range(3)]
+    matcher: StampMatcher[Arrival] = StampMatcher()
+    assert len(paired(again, matcher)) == 3
+    assert not paired(again, matcher)
+    matcher.clear()
+    assert len(paired(again, matcher)) == 3

@@ -13,9 +13,7 @@ from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.mount import look_at
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
 from deltacharger_vision.rendering.scene import Box, CameraParameters, RenderedScene, shifted
-from deltacharger_vision.rendering.scene_drawing import (
-    charger_parts,
-)
+from deltacharger_vision.rendering.scene_drawing import charger_parts
 
 from .views import DISTORTIONS, EVEN, FACES, VIEWS, edge_errors, linear, view
 
@@ -108,14 +106,6 @@ def test_nothing_outside_the_stereo_range_has_depth() -> None:
         assert (np.isfinite(taken(WALL, wall_at(3.0), farthest=farthest).depth) == seen).all()
 
 
-def test_only_metal_has_holes_with_the_given_share() -> None:
-    pose = view(0.2)
-    solid = taken(FLAT, pose).depth < 0.2055
-    lost = np.array([np.isnan(taken(FLAT, pose, seed, hole_metal=0.4, hole_glare=0.4).depth) for seed in range(3)])
-    assert not lost[:, ~solid].any()
-    assert lost[:, metal(pose)].mean() == pytest.approx(0.4, abs=0.06)
-
-
 def test_glare_is_bright_and_costs_depth() -> None:
     pose = view(0.3)
     lit = dataclasses.replace(EVEN, highlight=1.5)
@@ -138,11 +128,8 @@ def test_each_side_of_the_plate_hides_the_wall_from_one_camera() -> None:
 
 
 def test_light_is_kept_until_it_saturates() -> None:
-    exposure = 2.5
-    once, given = (linear(taken(FLAT, view(0.3), exposure=each).color) for each in (1.0, exposure))
-    np.testing.assert_allclose(given, np.minimum(exposure * once, 1.0), atol=0.02)
-    bright = taken(RenderedScene(), view(0.3), exposure=exposure).color[metal(view(0.3))]
-    assert ((bright == 255).mean() > 0.5) == (exposure > 1.0)
+    once, given = (linear(taken(FLAT, view(0.3), exposure=each).color) for each in (1.0, 2.5))
+    np.testing.assert_allclose(given, np.minimum(2.5 * once, 1.0), atol=0.02)
 
 
 def test_the_chargers_parts_hide_the_terminal_if_in_between() -> None:
