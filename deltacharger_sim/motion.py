@@ -14,11 +14,7 @@ from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.touch import Bars, tilts
 
 
-class SimulationError(Picklable):
-    """Base class of deltacharger_sim's own errors."""
-
-
-class TargetFixed(SimulationError, RuntimeError):
+class TargetFixed(Picklable, RuntimeError):
     """The target of this model cannot move. Example: `World.move_target` of MuJoCo's world.
 
     Args:

@@ -18,7 +18,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,18 +65,7 @@ def approach(turn: Turn) -> Array:
     return np.array([about_x, -about_y])
 
 
-class DrawnContact(Protocol):
-    """Random values of one contact."""
-
-    @property
-    def jitter(self) -> Array:
-        """(N, 3) displacement of the relative pose (x, y, angle), m and rad."""
-
-
-T = TypeVar("T", bound=DrawnContact)
-
-
-class PadSource(ABC, Generic[T]):
+class PadSource(ABC):
     """Both pads of one rig, for a world that knows pose and force.
 
     One docking is one contact: `begin_docking` at its first touch, then `sample` with the relative pose plus the
@@ -88,7 +77,7 @@ class PadSource(ABC, Generic[T]):
 
     def __init__(self, random: np.random.Generator) -> None:
         self._random = random
-        self._contact: T | None = None
+        self._contact: Any = None
         self._last: float | None = None  # s, time of the last frame
         self._pressed: tuple[tuple[Pose, float, Lean | None], Array] | None = None  # arguments and forces on taxels
 
@@ -128,11 +117,11 @@ class PadSource(ABC, Generic[T]):
         """
 
     @abstractmethod
-    def _draw(self) -> T:
-        """Draw a new contact."""
+    def _draw(self) -> Any:
+        """Draw a new contact, whose `jitter` (N, 3) displaces the relative pose (x, y, angle), m and rad."""
 
     @abstractmethod
-    def _solve(self, contact: T, pose: Array, force: float, lean: Lean | None) -> Array:
+    def _solve(self, contact: Any, pose: Array, force: float, lean: Lean | None) -> Array:
         """Return the forces on the taxels (1, 2, 10, 10) N at a pose (1, 3)."""
 
     def _end_contact(self) -> None:
@@ -311,7 +300,7 @@ def _model(parameters: PadContactParameters) -> ContactModel:
     return ContactModel(parameters)
 
 
-class ContactSource(PadSource[Dockings]):
+class ContactSource(PadSource):
     """Both pads of one rig in the first contact physics.
 
     A frame's noise correlates with the last one by the time between them, so unneeded frames may be skipped.

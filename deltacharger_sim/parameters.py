@@ -7,7 +7,7 @@ The light model is verified for every stiffness within the bounds (docs/reports/
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from deltacharger_core.machine import (
     BATTERY_MAX,
@@ -27,7 +27,7 @@ from deltacharger_core.machine import (
 from deltacharger_core.parameters import Bounded, flag, number
 from deltacharger_driver.emulators.power import PortParameters, StageParameters
 
-LITHIUM_7S = {"empty_voltage": 19.0, "full_voltage": 29.4, "current": 10.0, "end_current": 0.5}
+LITHIUM_7S: dict[str, Any] = {"empty_voltage": 19.0, "full_voltage": 29.4, "current": 10.0, "end_current": 0.5}
 """Values of docking's profile of the simulated target."""
 STEP = 0.005  # s, integration step; verified for every stiffness up to 0.01 s
 

@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_sim.circuit import Circuit, Overlap
 from deltacharger_sim.mechanics import Mechanics
 from deltacharger_sim.motion import MakeMotion, Motion
-from deltacharger_sim.pads import Lean, Pose
+from deltacharger_sim.pads import PadSource, Pose
 from deltacharger_sim.parameters import STEP, WorldParameters
 
 
@@ -61,10 +61,6 @@ class Record:
     energy: float = 0.0
     port_shorted: float = 0.0
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the values by name."""
-        return dataclasses.asdict(self)
-
 
 @dataclass(frozen=True)
 class Snapshot:
@@ -89,25 +85,12 @@ _CURRENT_UNIT = MX_64.current_unit  # A, step of a reading
 T = TypeVar("T")
 
 
-class TactileSource(Protocol):
-    """Interface of a world to the tactile arrays' model."""
-
-    def begin_docking(self) -> Pose:
-        """Draw a new docking and return its displacement (x m, y m, angle rad)."""
-
-    def sample(self, time: float, pose: Pose | None, force: float, lean: Lean | None) -> tuple[Array, Array]:
-        """Return left and right (10, 10) N, raw, for the target's pose in end_effector (None = no contact).
-
-        `lean` is of the platform against the target; None = they are parallel.
-        """
-
-
 class World:
     """The simulated environment of one charger.
 
     Args:
         parameters: all of them; the attribute has the target's present pose.
-        tactile: model of the arrays; None = pads that read nothing.
+        tactile: the pads, a `PadSource`; None = pads that read nothing.
         seed: of the current noise.
         geometry: of the delta.
         start: of the platform, m, charger_base.
@@ -123,7 +106,7 @@ class World:
     def __init__(
         self,
         parameters: WorldParameters,
-        tactile: TactileSource | None = None,
+        tactile: PadSource | None = None,
         seed: int = 0,
         geometry: DeltaGeometry | None = None,
         start: Vector = (0.0, 0.0, 0.0),

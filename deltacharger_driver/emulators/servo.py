@@ -48,8 +48,6 @@ ZERO_TICKS = 2048
 RESTART_TIME = 0.3  # s that a servo is silent after a reboot
 _OVERHEATING, _VOLTAGE = 1 << 2, 1 << 0
 _LARGEST_OFFSET = 1024  # counts; largest homing offset used in mode 3
-_IN_POSITION = 10  # counts from the goal; the vendor gives no figure
-_NOT_FOLLOWING = 114  # counts from the reference, 10°; the vendor gives no figure
 _POSITION_MODES = (MODE_POSITION, MODE_EXTENDED, MODE_CURRENT_POSITION)
 
 
@@ -107,11 +105,6 @@ class ControlTable:
         """Set all measured values, in register units."""
         struct.pack_into("<hii", self._memory, 126, current, velocity, position)
         struct.pack_into("<HB", self._memory, 144, voltage, temperature)
-
-    def set_movement(self, moving: bool, status: int) -> None:
-        """Set registers moving and moving_status."""
-        self._memory[122] = moving
-        self._memory[123] = status
 
     def read(self, address: int, length: int) -> bytes | None:
         """Return `length` bytes from `address`, through the indirect registers; None beyond the table."""
@@ -338,7 +331,6 @@ class ServoFirmware:
             max(0, min(65535, round(voltage / kind.voltage_unit))),
             max(0, min(255, round(temperature))),
         )
-        table.set_movement(*self._movement(angle, velocity))
         counts = voltage / kind.voltage_unit
         errors = 0
         if temperature >= table.get("temperature_limit"):
@@ -361,15 +353,6 @@ class ServoFirmware:
 
     def _angle(self, ticks: int) -> float:
         return (ticks - ZERO_TICKS - self._offset()) * TICK
-
-    def _movement(self, angle: float, velocity: float) -> tuple[bool, int]:
-        """Return registers 122 and 123."""
-        table = self.table
-        moving = abs(velocity) > table.get("moving_threshold") * self._kind.velocity_unit
-        if not table.get("torque_enable") or table.get("operating_mode") not in _POSITION_MODES:
-            return moving, 0
-        distance = abs(self._reference - angle)
-        return moving, (distance <= _IN_POSITION * TICK) | (distance > _NOT_FOLLOWING * TICK) << 3
 
     def _start(self, now: float) -> None:
         self._heard = -math.inf

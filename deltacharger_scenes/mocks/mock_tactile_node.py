@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """mock_tactile_node: tactile_node without a board, for tests of the layers above it.
 
-Subscribes: servo_state (for the end effector's position and force). Publishes: tactile_frame, charger_power,
-battery, target_battery.
+Subscribes: servo_state (for the end effector's position and force). Publishes: tactile_frame, charger_power.
 Serves: tare, set_contactor, probe, with the real node's lease rules (by its code).
 Frames come from deltacharger_sim's pads, so that misalignment_node works with them.
 Parameters: pose of the target in the plane z = DOCK_DISTANCE, and `fault`, which may be changed at runtime:
@@ -42,10 +41,9 @@ from deltacharger_core.machine import (
 )
 from deltacharger_driver.board.contactor import ContactorLease, LeaseRefused
 from deltacharger_driver.board.protocol import Power, PowerSample, TactileSample
-from deltacharger_driver.board.tactile_node import BATTERY_PERIOD, BatteryPublishers, SamplePublishers, limits_of
+from deltacharger_driver.board.tactile_node import SamplePublishers, limits_of
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import node_support, qos
-from deltacharger_ros.clock import steady_timer
 from deltacharger_ros.messages import seconds, unknown
 from deltacharger_ros.on_demand import LatestMessage
 from deltacharger_ros.parameters import declare_all, reject_unknown
@@ -143,8 +141,6 @@ class MockTactileNode(Node):
         self._sequence = 0
         self._began = time.monotonic()
         self._samples = SamplePublishers(self, qos.LATEST, frames.named(END_EFFECTOR))
-        self._batteries = BatteryPublishers(self, frames)
-        steady_timer(self, BATTERY_PERIOD, self._publish_batteries)
         group = ReentrantCallbackGroup()
         self._servos = LatestMessage(self, ServoState, "servo_state", qos.LATEST)
         self.create_service(Trigger, "tare", self._on_tare, callback_group=group, qos_profile=SERVICE)
@@ -196,11 +192,6 @@ class MockTactileNode(Node):
                 if power is not None:
                     self._samples.power(*power)
             due = max(due + period, now - period)
-
-    def _publish_batteries(self) -> None:
-        with self._lock:
-            sample, *_ = self._power_sample(time.monotonic())
-        self._batteries.publish(sample)
 
     def _touching(self) -> bool:
         return self._position[2] > DOCK_DISTANCE

@@ -8,6 +8,7 @@ cannot distinguish them from the robot's. A socket beside them accepts faults (f
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import logging
 import math
 import tempfile
@@ -108,7 +109,7 @@ class SimulatedCharger:
 
     def record(self) -> dict[str, Any]:
         """Return the true events in the world; for reports and tests, never for docking."""
-        return self.world.record.as_dict()
+        return dataclasses.asdict(self.world.record)
 
     def wait_until_quiet(self, quiet: float, timeout: float, hurry: threading.Event) -> bool:
         """Wait until no host has sent a byte for `quiet` (s), at most `timeout` (s) or until `hurry` is set."""

@@ -188,7 +188,7 @@ class QuickCharger(VirtualCharger):
         self,
         world: WorldParameters,
         parameters: DockingParameters,
-        pads: PadSource[Any],
+        pads: PadSource,
         seed: int,
         rig_seed: int,
         geometry: DeltaGeometry | None = None,

@@ -12,7 +12,7 @@ import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -57,7 +57,7 @@ from deltacharger_kinematics.trajectory_feed import Waypoint
 from deltacharger_sim.mechanics import Mechanics
 from deltacharger_sim.pads import ContactSource
 from deltacharger_sim.parameters import LITHIUM_7S, WorldParameters
-from deltacharger_sim.world import SharedWorld, TactileSource, World
+from deltacharger_sim.world import SharedWorld, World
 from deltacharger_tactile import PoseEstimator, default_model
 
 TICK = 0.01
@@ -66,13 +66,6 @@ _PROBE_TIME = 0.15  # s
 FRAME = 1.0 / FRAME_RATE
 GOAL = ElectrodePose((0.0, 0.0, DOCK_DISTANCE), 0.0)
 _ORDERS = (Service.TORQUE_ON, Service.TORQUE_OFF, Service.TARE, Service.PROBE)  # refused if they come too late
-
-
-class PoseModel(Protocol):
-    """Makes an estimate from two averaged, tared pads."""
-
-    def predict(self, left: np.ndarray, right: np.ndarray) -> Any:
-        """Return an estimate with the attributes of docking's `MisalignmentEstimate`."""
 
 
 @functools.cache
@@ -114,7 +107,7 @@ class VirtualCharger:
         parameters: DockingParameters | None = None,
         seed: int = 1,
         rig_seed: int = 900,
-        tactile: TactileSource | None = None,
+        tactile: Any = None,
         geometry: DeltaGeometry | None = None,
         profile: TargetProfile = PROFILE,
     ) -> None:
@@ -132,7 +125,7 @@ class VirtualCharger:
         self.answer: dict[Service, Callable[[Reply], Reply | None]] = {}
         self.states: list[State] = []
         self.outcome: DockingOutcome | None = None
-        self.model: PoseModel = packaged_model()
+        self.model: Any = packaged_model()  # predicts from two averaged, tared pads
         self.baseline = np.zeros((PADS, ROWS, COLUMNS))
         self.excess: Array | None = None
         self._tared = False
@@ -158,7 +151,7 @@ class VirtualCharger:
         self._watch = JointWatch(settings, settings.drive(MX_64))
         self._stopped, self._stop_at = "", math.inf  # why and until when servo_node stops the arm
 
-    def _make_world(self, world: WorldParameters, tactile: TactileSource, seed: int) -> World:
+    def _make_world(self, world: WorldParameters, tactile: Any, seed: int) -> World:
         return World(world, tactile, seed)
 
     def _make_plant(self) -> SharedWorld:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 
@@ -13,7 +14,7 @@ from deltacharger_driver.emulators.power import EmulatedPower
 from deltacharger_kinematics.geometry import LIMB_DIRECTIONS, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_sim.parameters import WorldParameters
-from deltacharger_sim.world import TactileSource, World
+from deltacharger_sim.world import World
 from test.plain import plain_servo
 
 DELTA = ScalarDelta()
@@ -24,9 +25,7 @@ class Arm:
 
     delta = DELTA
 
-    def __init__(
-        self, parameters: WorldParameters | None = None, step: float = 0.005, tactile: TactileSource | None = None
-    ) -> None:
+    def __init__(self, parameters: WorldParameters | None = None, step: float = 0.005, tactile: Any = None) -> None:
         self.world = World(parameters or WorldParameters(servo=plain_servo()), tactile)
         self.power = EmulatedPower(self.world.circuit, 0.0, self.world.parameters.stage)
         self.step = step

@@ -278,7 +278,7 @@ POSE_MODELS = (PACKAGED, FROM_ONE_NEWTON)
 
 def make_pads(
     pads: str, tactile: TactileParameters, second: SecondParameters | None, rig_seed: int, seed: int
-) -> PadSource[Any]:
+) -> PadSource:
     """Return the pads of a docking.
 
     Args:

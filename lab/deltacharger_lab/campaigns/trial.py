@@ -31,7 +31,7 @@ from deltacharger_sim.pads import Lean, PadSource, Pose
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.virtual.quick_charger import QuickCharger, QuickPlanner
 from deltacharger_sim.virtual.virtual_charger import TICK, Pending, VirtualCharger
-from deltacharger_sim.world import TactileSource, World
+from deltacharger_sim.world import World
 
 _FINEST = 0.005  # s of the world's steps while the target moves
 _REMEMBERED = 0.6  # s of observations
@@ -165,7 +165,7 @@ class FaultyWorld(World):
 class FaultyPads:
     """Pads whose frames faults change."""
 
-    def __init__(self, pads: PadSource[Any], trial: Trial) -> None:
+    def __init__(self, pads: PadSource, trial: Trial) -> None:
         self._pads, self._trial = pads, trial
 
     def begin_docking(self) -> Pose:
@@ -202,7 +202,7 @@ class _Suffers(VirtualCharger):
         self._stepped = 0.0  # s, last step of the machine
         trial.charger = self
 
-    def _make_world(self, world: WorldParameters, tactile: TactileSource, seed: int) -> World:
+    def _make_world(self, world: WorldParameters, tactile: Any, seed: int) -> World:
         return FaultyWorld(self._trial, world, tactile, seed)
 
     def begin(self, goal: DockGoal) -> None:
@@ -318,7 +318,7 @@ class Trial:
         self._last: Observation | None = None
         self._removed = False
 
-    def pads(self, pads: PadSource[Any]) -> Any:
+    def pads(self, pads: PadSource) -> Any:
         """Return pads with the faults."""
         return FaultyPads(pads, self) if self.has("frame") else pads
 

@@ -36,7 +36,7 @@ from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_sim.motion import Motion
 from deltacharger_sim.parameters import MagnetParameters, ServoParameters, WorldParameters
 from deltacharger_sim.touch import PAD, PADS_TURN, Bars, level_yaw, tilts
-from deltacharger_sim.world import TactileSource, World
+from deltacharger_sim.world import World
 
 IMPEDANCE = 0.9  # d of contacts and joint stops: share of the solver's motion that a constraint decides
 
@@ -500,7 +500,7 @@ class MujocoMechanics(Motion):
 
 def mujoco_world(
     parameters: WorldParameters,
-    tactile: TactileSource | None = None,
+    tactile: Any = None,
     seed: int = 0,
     geometry: DeltaGeometry | None = None,
     step: float = STEP,

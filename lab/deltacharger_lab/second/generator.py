@@ -113,7 +113,7 @@ def _model(parameters: SecondParameters) -> Equilibrium:
     return Equilibrium(parameters)
 
 
-class SecondSource(PadSource[Touches]):
+class SecondSource(PadSource):
     """Both pads of one rig in the second contact physics.
 
     Unneeded frames may be skipped, with limits. Between two frames the pads carry the force of the later one, and none
