@@ -130,10 +130,9 @@ optional: lab trainers navigation transforms  ## every optional library; without
 	$(BIN)/python -m pip install --quiet 'depthai>=3,<4' mujoco pyarrow 'rerun-sdk>=0.39' xacro
 
 # After a change of nodes, parameters or messages. In CI they must be what is committed.
-pages: lab  ## write docs/parameters.md, docs/topics.md and the watches in docs/docking.md, check config/security
+pages: lab  ## write docs/parameters.md, docs/topics.md, check config/security
 	$(BIN)/python -m deltacharger_lab.pages.parameters > docs/parameters.md
 	$(BIN)/python -m deltacharger_lab.pages.topics > docs/topics.md
-	$(BIN)/python -m deltacharger_lab.pages.watches docs/docking.md
 	$(BIN)/python -m deltacharger_lab.pages.policies
 
 # Tools that are not on PyPI. All names are Debian packages; run as root, needs no terminal.

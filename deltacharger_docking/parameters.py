@@ -43,12 +43,8 @@ class DockingParameters(Bounded):
         ParameterError: a value lies outside its bounds, or two values contradict each other.
     """
 
-    power: str = choice(
-        "board", POWERS, "board: contactor, limiter and probe; none: electrodes wired to the battery, always live"
-    )
-    servo_stiffness: float = number(
-        SERVO_STIFFNESS, STIFFNESS_MIN, STIFFNESS_MAX, "N·m/rad", "servo stiffness until it is estimated"
-    )
+    power: str = choice("board", POWERS, "board: contactor, limiter and probe; none: electrodes wired to the battery")
+    servo_stiffness: float = number(SERVO_STIFFNESS, STIFFNESS_MIN, STIFFNESS_MAX, "N·m/rad", "until it is estimated")
     torque_constant: float = number(TORQUE_CONSTANT, 0.1, 10.0, "N·m/A", "torque per current, as in servo_node")
     gravity: tuple[float, float, float] = numbers(
         GRAVITY, -20.0, 20.0, "m/s²", "gravity in charger_base ({unit}), +z toward the target, +y up"
@@ -64,9 +60,7 @@ class DockingParameters(Bounded):
     current_min: float = tunable(0.4, 0.15, 2.0, "A", "lower end of the contact current's band")
     current_max: float = tunable(0.5, 0.05, 2.0, "A", "upper end of the contact current's band")
     # The paper's critical angle, and below the electrodes that short at it.
-    critical_angle: float = number(
-        math.radians(12.0), 0.01, math.radians(12.05), "rad", "angle from which electrodes would short"
-    )
+    critical_angle: float = number(math.radians(12.0), 0.01, math.radians(12.05), "rad", "angle that would short")
     electrode_half_gap: float = number(0.5 * BAR_GAP, 0.0005, 0.02, "m", "half the gap between the two bars")
     electrode_half_length: float = number(0.5 * BAR_LENGTH, 0.005, 0.1, "m", "half the length of a bar")
     # From the formula of the clearance, and a rate of unsafe acts by the normal distribution and its tails.
@@ -76,31 +70,15 @@ class DockingParameters(Bounded):
     overlap_loss_max: float = tunable(0.004, 0.001, 0.03, "m", "largest offset along the bars: lost overlap")
     # Accuracy of a robot's place and of a goal's pose, and the middle of the campaigns' range; differ by site.
     place_stddev: float = number(0.005, 1e-4, 0.05, "m", "standard deviation of the pose in a goal")
-    yaw_stddev: float = number(
-        math.radians(1.2), 0.0, 0.2, "rad", "standard deviation of an unknown yaw; 0 = parallel by construction"
-    )
+    yaw_stddev: float = number(math.radians(1.2), 0.0, 0.2, "rad", "standard deviation of an unknown yaw; 0 = parallel")
     platform_compliance: float = number(0.02, 0.0, 0.1, "rad/(N·m)", "tilt of the platform per moment; 0 = rigid")
     magnet_force: float = number(MAGNET_FORCE, 0.0, 300.0, "N", "pull of the magnets in contact without offset")
-    charge_stable_time: float = tunable(
-        1.0, 0.1, 10.0, "s", "how long charge current must flow before docking succeeds"
-    )
-    battery_voltage_min: float = number(
-        BATTERY_MIN, 1.0, 60.0, "V", "voltage of the charger's own battery that ends charging after 5 s"
-    )
-    battery_voltage_start: float = number(
-        23.7, 1.0, 60.0, "V", "lowest voltage of the charger's own battery for closing; load pulls it down"
-    )
-    battery_voltage_max: float = number(BATTERY_MAX, 1.0, 60.0, "V", "highest voltage of the charger's own battery")
-    hold_max: float = tunable(
-        14400.0,
-        1.0,
-        604800.0,
-        "s",
-        "longest rest on a target since the last goal; then charging ends and the arm goes home",
-    )
-    age_max: float = number(
-        0.5, 0.1, 2.0, "s", "age of servo_state, tactile frames and charger_power that ends docking"
-    )
+    charge_stable_time: float = tunable(1.0, 0.1, 10.0, "s", "time of charge current before docking succeeds")
+    battery_voltage_min: float = number(BATTERY_MIN, 1.0, 60.0, "V", "own battery that ends charging after 5 s")
+    battery_voltage_start: float = number(23.7, 1.0, 60.0, "V", "lowest voltage of the own battery for closing")
+    battery_voltage_max: float = number(BATTERY_MAX, 1.0, 60.0, "V", "highest voltage of the own battery")
+    hold_max: float = tunable(14400.0, 1.0, 604800.0, "s", "longest rest on a target since the last goal")
+    age_max: float = number(0.5, 0.1, 2.0, "s", "age of servo_state, tactile_frame or charger_power that ends docking")
     live_servo_age_max: float = number(LONGEST_LEASE, 0.02, 0.5, "s", "age of servo_state that opens the contactor")
     goal_timeout: float = tunable(300.0, 12.0, 3600.0, "s", "limit for a docking until it succeeds")
 

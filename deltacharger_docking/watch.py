@@ -1,19 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is watched, in which phase: who notices, in what time, with which code.
+"""What is watched, in which phase.
 
-docs/docking.md prints `WATCHES`. Docking asks its rows in every tick, before its script goes on, a cause before its
-consequences: servo_node opens the contactor if a servo fails, so the servos come before the power stage.
+Docking looks in every tick, before its script goes on, at a cause before its consequences: servo_node opens the
+contactor if a servo fails, so the servos come before the power stage.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from deltacharger_core.machine import LIVE_VOLTAGE, LONGEST_LEASE, ZERO_CURRENT
 from deltacharger_docking import codes
-from deltacharger_docking.codes import POWER_FAULTS, Code, DockingError, State
+from deltacharger_docking.codes import POWER_FAULTS, DockingError, State
 from deltacharger_docking.contact import PRESS_AGE_MAX
 from deltacharger_docking.context import SAME_SAMPLE, SHOWS, YIELDS, Context, Live
 from deltacharger_docking.parameters import TargetProfile
@@ -55,10 +54,8 @@ class Watches:
     def problem(self, interruptible: bool = True) -> DockingError | None:
         """Return why the script must end now, if anything; on the way back only what forbids to move on."""
         state = self._context.status.state
-        for row in WATCHES:
-            if row.look is None or state not in row.phases or not (interruptible or row.halts):
-                continue
-            if (problem := row.look(self)) is not None:
+        for look, phases, halts in WATCHES:
+            if state in phases and (interruptible or halts) and (problem := look(self)) is not None:
                 return problem
         return None
 
@@ -403,29 +400,6 @@ def _power_silent() -> codes.PowerStale:
     return codes.PowerStale("charger_power stopped; check the board's cable and tactile_node")
 
 
-@dataclass(frozen=True)
-class Watched:
-    """One sense in some phases: who notices that it is wrong, in what time, with which codes of docking.
-
-    Attributes:
-        sense: what is watched.
-        phases: in which.
-        who: the node, or the board.
-        within: time until the contactor opens or the arm stops, or when it is looked at.
-        codes: of the goal.
-        look: docking's own look; None = another node's, which docking hears of.
-        halts: whether it ends the way back too.
-    """
-
-    sense: str
-    phases: tuple[State, ...]
-    who: str
-    within: str
-    codes: tuple[Code, ...]
-    look: Callable[[Watches], DockingError | None] | None = None
-    halts: bool = False
-
-
 _BEFORE_MOVING = (State.LOCATE, State.APPROACH)  # in APPROACH, `prepare` waits before anything moves
 _TOUCHING = (State.CONTACT, State.MEASURE, State.ALIGN)
 LIVE = (State.ENERGISE, State.CHARGING, State.IDLE)  # IDLE: docked; live if the electrodes are wired to the battery
@@ -433,41 +407,24 @@ _LIVE_PORT = (*_TOUCHING, State.ENERGISE, State.IDLE)  # from the touch until ou
 _ALL = (*_BEFORE_MOVING, *_TOUCHING, *LIVE, State.RETRACT)
 _APART = (State.APPROACH, State.RETRACT)
 _UNDER_TORQUE = (State.APPROACH, *_TOUCHING, *LIVE, State.RETRACT)
-_UNMEASURED = (*_BEFORE_MOVING, *_TOUCHING, State.RETRACT)
-_POWER_CODES = tuple(dict.fromkeys(kind.code for kind, _ in POWER_FAULTS.values()))
-_SERVO, _PADS, _WELDED = (Code.SERVO_FAULT,), (Code.TACTILE_STALE,), (Code.CONTACTOR_WELDED,)
-_SERVO_DATA = (Code.SERVO_STALE, Code.SERVO_FAULT)
-_GIVES_WAY, _BEHIND = (Code.TARGET_ROLLS, Code.NO_CONTACT), (Code.SERVO_FAULT, Code.NO_CONTACT)
-_VOLTAGE = (Code.VOLTAGE_OUT_OF_RANGE, Code.POWER_STALE)
 
-WATCHES = (
-    Watched("place of the arm", _ALL, "servo_node", "0.1 s", _SERVO),
-    Watched("place of the arm", _ALL, "docking", "a cycle", _SERVO, Watches._astray, halts=True),
-    Watched("charge current", _ALL, "docking", "0.1 s", _WELDED, Watches._unordered, halts=True),
-    Watched("voltages", _APART, "docking", "1.5 s in free air", _WELDED, Watches._live_in_air, halts=True),
-    Watched("voltages", _LIVE_PORT, "docking", "0.1 s", (Code.SHORT_CIRCUIT,), Watches._bridged),
-    Watched("docking itself", LIVE, "docking", "1 s", (Code.POWER_STALE,), Watches._paused),
-    Watched("docking itself", LIVE, "tactile_node", "0.25 s, its lease", (Code.POWER_STALE,)),
-    Watched("docking itself", (*_BEFORE_MOVING, *_TOUCHING, State.RETRACT), "docking", "the phase", (Code.TIMEOUT,)),
-    Watched("charge current", LIVE, "board", "2 ms", _POWER_CODES, Watches._fault),
-    Watched("servos", _ALL, "docking", "0.5 s", _SERVO_DATA, Watches._servos_silent),
-    Watched("servos", _ALL, "docking", "a cycle", _SERVO, Watches._hardware_error),
-    Watched("servos", LIVE, "docking", "0.25 s", _SERVO_DATA, Watches._servos),
-    Watched("push", _ALL, "docking", "0.06 s", (Code.OVERCURRENT,), Watches._pushes_too_hard),
-    Watched("push", _TOUCHING, "docking", "11 mm", _GIVES_WAY, Watches._gives_way),
-    Watched("place of the arm", (State.CONTACT,), "docking", "a cycle", _BEHIND, Watches._does_not_follow),
-    Watched("pads", (State.APPROACH, *_TOUCHING, *LIVE), "docking", "0.5 s", _PADS, Watches._pads_silent),
-    Watched("pads", LIVE, "tactile_node", "0.25 s, no lease", (Code.POWER_STALE,)),
-    Watched("pads", (State.LOCATE,), "docking", "in APPROACH", _PADS),
-    Watched("pads", (State.RETRACT,), "docking", "at home", (Code.TARGET_ROLLS, Code.STUCK)),
-    Watched("servos", _UNDER_TORQUE, "docking", "a cycle", _SERVO, Watches._torque_lost, halts=True),
-    Watched("charge current", LIVE, "docking", "0.1 s", _POWER_CODES, Watches._power),
-    Watched("voltages", LIVE, "board", "0.1 s", _VOLTAGE),
-    Watched("voltages", LIVE, "docking", "0.15 s", _VOLTAGE, Watches._voltages),
-    Watched("voltages", (State.LOCATE, *_TOUCHING), "docking", "by the probe", _VOLTAGE),
-    Watched("pattern on the pads", LIVE, "docking", "a frame", (Code.NO_CONTACT,), Watches._contact),
-    Watched("pattern on the pads", LIVE, "docking", "2 checks", (Code.CRITICAL_ANGLE, Code.ESTIMATE_UNSURE)),
-    Watched("pattern on the pads", _UNMEASURED, "docking", "in MEASURE", (Code.ESTIMATE_UNSURE,)),
-    Watched("second sources", _ALL, "docking", "before closing", (Code.DUPLICATE_SOURCE,)),
+WATCHES: tuple[tuple[Callable[[Watches], DockingError | None], tuple[State, ...], bool], ...] = (
+    (Watches._astray, _ALL, True),
+    (Watches._unordered, _ALL, True),
+    (Watches._live_in_air, _APART, True),
+    (Watches._bridged, _LIVE_PORT, False),
+    (Watches._paused, LIVE, False),
+    (Watches._fault, LIVE, False),
+    (Watches._servos_silent, _ALL, False),
+    (Watches._hardware_error, _ALL, False),
+    (Watches._servos, LIVE, False),
+    (Watches._pushes_too_hard, _ALL, False),
+    (Watches._gives_way, _TOUCHING, False),
+    (Watches._does_not_follow, (State.CONTACT,), False),
+    (Watches._pads_silent, (State.APPROACH, *_TOUCHING, *LIVE), False),
+    (Watches._torque_lost, _UNDER_TORQUE, True),
+    (Watches._power, LIVE, False),
+    (Watches._voltages, LIVE, False),
+    (Watches._contact, LIVE, False),
 )
-"""In this order; docs/docking.md prints it."""
+"""In this order: the look, its phases, and whether it ends the way back too."""

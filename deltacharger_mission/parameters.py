@@ -22,12 +22,8 @@ class MissionParameters(Bounded):
     home_x: float = number(0.0, -ON_MAP, ON_MAP, "m", "home of the base, x in map_frame")
     home_y: float = number(0.0, -ON_MAP, ON_MAP, "m", "home of the base, y in map_frame")
     home_yaw: float = number(0.0, -math.pi, math.pi, "rad", "heading at home")
-    electrodes_x: float = number(
-        0.0, -ON_ROBOT, ON_ROBOT, "m", "electrodes on the robot to be charged, x in the goal's target"
-    )
-    electrodes_y: float = number(
-        0.0, -ON_ROBOT, ON_ROBOT, "m", "electrodes on the robot to be charged, y in the goal's target"
-    )
+    electrodes_x: float = number(0.0, -ON_ROBOT, ON_ROBOT, "m", "electrodes on the target robot, x")
+    electrodes_y: float = number(0.0, -ON_ROBOT, ON_ROBOT, "m", "electrodes on the target robot, y")
     electrodes_yaw: float = number(0.0, -math.pi, math.pi, "rad", "direction that the electrodes face, from x toward y")
     view_distance: float = number(0.20, 0.08, 2.0, "m", "distance from the electrodes at which the search begins")
     drive_timeout: float = number(300.0, 1.0, 86400.0, "s", "limit for DRIVE and for RETURN")
