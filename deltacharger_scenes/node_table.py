@@ -128,7 +128,7 @@ NODES: dict[str, NodeSpec] = {
     ),
     "docking_recorder_node": NodeSpec(
         "deltacharger_records.recording.docking_recorder_node.DockingRecorderNode",
-        parameters=("deltacharger_records.parameters.DockingRecorderNodeParameters",),
+        parameters=("deltacharger_records.recording.folder.DockingRecorderNodeParameters",),
         takes_scene_name=True,
         may_restart=True,
         lacks="dockings leave no record, unless --record asks for them",

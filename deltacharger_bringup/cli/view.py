@@ -335,7 +335,7 @@ def _show_recording(rr: Any, options: argparse.Namespace) -> Result:
     environment.prepare()
     from deltacharger_core.mcap_file import RecordingError
     from deltacharger_records.node_parameters import recorded_settings
-    from deltacharger_records.recording.mcap_recording import Recording
+    from deltacharger_records.recording.recorded import Recording
     from deltacharger_records.view.feed import TOPICS, play
 
     began = time.monotonic()

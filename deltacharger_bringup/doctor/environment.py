@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of versions, interfaces and ROS settings of this computer."""
+"""Checks of versions, interfaces and ROS settings of this computer.
+
+A wrong library can end or hang the process that loads it. So ROS is checked by `main` in a separate process, which may
+do so: python -m deltacharger_bringup.doctor.environment. It prints lines of JSON: the step that begins, and its
+findings. With `--alone` it does not search for chargers.
+"""
 
 from __future__ import annotations
 
@@ -9,16 +14,30 @@ import os
 import re
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
+from dataclasses import asdict
 from typing import Any
 
-from deltacharger_bringup.doctor.findings import Finding, install, ok, wrong
-from deltacharger_bringup.doctor.ros_probe import ADVICE, ALONE, cause_of
-from deltacharger_core import environment
+from deltacharger_bringup.doctor.findings import Finding, hint, install, ok, wrong
+from deltacharger_core import environment, streams
 
 _MODULES = ("numpy", "yaml", "serial", "dynamixel_sdk")
 _RANGES = ("", "SUBNET", "LOCALHOST", "SYSTEM_DEFAULT")
 _LONGEST_PROBE = 60.0  # s; a loaded computer takes 10 s to load ROS
+_ALONE = "--alone"
+_ADVICE = {
+    "rclpy": "in a venv: pip install 'ros-rclpy[fastrtps]'; on a ROS installation: source its setup.bash",
+    "ros version": f"use {environment.RUNS_ON}",
+    "interfaces": "build them: pip install ., or colcon build and source install/setup.bash",
+    "numpy and ROS": "build the interfaces again with the numpy that is installed now: "
+    "pip install --no-build-isolation .",
+    "ros middleware": "unset RMW_IMPLEMENTATION or install that middleware; check ROS_DOMAIN_ID and the network",
+}
+"""What to do about each step."""
+_LOOK = 3.3  # s; after a missed announcement of a charger the next comes 3 s later
+_MATCH = 1.0  # s until the actions of a charger whose topic was found are found too
+_STEP = 0.05  # s
 
 
 def examine_versions() -> Iterator[Finding]:
@@ -57,10 +76,10 @@ class RosProbe:
     """
 
     def __init__(self) -> None:
-        command = [sys.executable, "-m", "deltacharger_bringup.doctor.ros_probe"]
+        command = [sys.executable, "-m", "deltacharger_bringup.doctor.environment"]
         variables = dict(os.environ)
         if environment.domain_problem():
-            command.append(ALONE)
+            command.append(_ALONE)
             variables["ROS_DOMAIN_ID"] = "0"
         self.images: int | None = None
         self._process = subprocess.Popen(
@@ -82,7 +101,7 @@ class RosProbe:
             self._process.kill()
             out, _ = self._process.communicate()
             problem = f"it took more than {_LONGEST_PROBE:.0f} s"
-        begun = next(iter(ADVICE))
+        begun = next(iter(_ADVICE))
         for line in out.splitlines():
             said: dict[str, Any] = json.loads(line)
             begun = said.get("begins", begun)
@@ -90,11 +109,133 @@ class RosProbe:
             if "part" in said:
                 yield Finding(**said)
         if begun:
-            cause = cause_of(begun, problem)
-            yield wrong(cause, problem, f"start in a new shell with one ROS installation only; then {ADVICE[cause]}")
+            cause = _cause(begun, problem)
+            yield wrong(cause, problem, f"start in a new shell with one ROS installation only; then {_ADVICE[cause]}")
 
 
 def _last_line(text: str) -> str:
     """Return the last line of a process's output, without colours."""
     lines = re.sub(r"\x1b\[[0-9;]*m", "", text).strip().splitlines()
     return lines[-1] if lines else "no output"
+
+
+def main() -> int:
+    """Probe step by step."""
+    steps = (_rclpy, _version, _interfaces, _exchange_arrays, _look_around)
+    step = ""
+    try:
+        for step, check in zip(_ADVICE, steps, strict=True):
+            _print(begins=step)
+            for finding in check():
+                _print(**asdict(finding))
+    except Exception as error:
+        lines = str(error).strip().splitlines() or [type(error).__name__]
+        cause = _cause(step, lines[0])
+        _print(**asdict(wrong(cause, f"{type(error).__name__}: {lines[0]}", _ADVICE[cause])))
+    _print(begins="")
+    os._exit(0)  # the middleware's threads must not delay the report
+
+
+def _print(**values: Any) -> None:
+    streams.write(json.dumps(values), sys.stdout)
+
+
+def _cause(step: str, problem: str) -> str:
+    """Return the step that caused a problem; an earlier step may have reported it."""
+    for cause, word in (("numpy and ROS", "numpy"), ("ros middleware", "rmw")):
+        if word in problem.lower():
+            return cause
+    return step
+
+
+def _rclpy() -> Iterator[Finding]:
+    import rclpy
+
+    yield ok("rclpy", f"loaded from {os.path.dirname(os.path.dirname(str(rclpy.__file__)))}")
+
+
+def _version() -> Iterator[Finding]:
+    importlib.import_module("rclpy.experimental.events_executor")
+    yield from ()
+
+
+def _interfaces() -> Iterator[Finding]:
+    """Load the compiled part of every interface."""
+    count = 0
+    for kind in ("msg", "srv", "action"):
+        module = importlib.import_module(f"deltacharger.{kind}")
+        for name, interface in vars(module).items():
+            if isinstance(interface, type) and hasattr(interface, "__import_type_support__"):
+                interface.__import_type_support__()
+                count += "_" not in name  # Dock_Goal is part of Dock
+    yield ok("interfaces", f"{count} messages, services and actions are built and loaded")
+
+
+def _exchange_arrays() -> Iterator[Finding]:
+    """Pass numpy arrays through the compiled interfaces; this fails with another ABI of numpy."""
+    import numpy as np
+    from deltacharger.msg import ServoState, TactileFrame
+    from geometry_msgs.msg import PoseWithCovariance
+    from rclpy.serialization import deserialize_message, serialize_message
+
+    sent = PoseWithCovariance(covariance=np.arange(36.0))
+    received: Any = deserialize_message(serialize_message(sent), PoseWithCovariance)
+    if not np.array_equal(received.covariance, sent.covariance):
+        raise RuntimeError("an array was changed by serialisation")
+    deserialize_message(serialize_message(TactileFrame(left=[1.0] * 100)), TactileFrame)
+    deserialize_message(serialize_message(ServoState(position=[1.0] * 3)), ServoState)
+    yield ok("numpy and ROS", "arrays are compatible")
+
+
+def _look_around() -> Iterator[Finding]:
+    import rclpy
+    from rclpy.context import Context
+    from rclpy.node import Node
+    from rclpy.utilities import get_rmw_implementation_identifier
+
+    context = Context()
+    rclpy.init(context=context, args=[])
+    node = Node("charger_doctor", context=context, enable_rosout=False, start_parameter_services=False)
+    yield ok("ros middleware", f"{get_rmw_implementation_identifier()} runs")
+    if _ALONE in sys.argv:
+        return
+    end = time.monotonic() + _LOOK
+    chargers: list[str] = []
+    while not chargers and time.monotonic() < end:
+        time.sleep(_STEP)
+        topics = dict(node.get_topic_names_and_types())
+        chargers = sorted(
+            name.removesuffix("/docking_state") or "/"
+            for name, types in topics.items()
+            if name.endswith("/docking_state") and types == ["deltacharger/msg/DockingState"]
+        )
+    yield running(chargers, next(filter(None, (_silence(name, context) for name in chargers)), ""))
+    names = [name for name, _ in node.get_topic_names_and_types() if name.endswith("/color/image_raw")]
+    _print(images=sum(node.count_publishers(name) for name in names))
+
+
+def running(chargers: list[str], silent: str) -> Finding:
+    """Return the finding about chargers by their namespaces, one of which may not answer: why, and what to do."""
+    domain = environment.domain()
+    if silent:
+        what, _, remedy = silent.partition(": ")
+        return wrong("charger", what, remedy)
+    if chargers:
+        text = f"a charger runs in ROS domain {domain}, namespace {', '.join(chargers)}"
+        return hint("charger", text, "stop it before you start another one there; it has opened the ports of its scene")
+    return ok("charger", f"none runs in ROS domain {domain}")
+
+
+def _silence(namespace: str, context: Any) -> str:
+    """Return why nothing is heard of a charger's actions; '' if they answer, or there are none."""
+    from deltacharger_ros.client import ChargerClient, ClientError
+
+    try:
+        ChargerClient(namespace, context).wait_until_it_answers(_MATCH)
+    except ClientError as error:
+        return str(error)
+    return ""
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

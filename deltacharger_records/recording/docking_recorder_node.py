@@ -24,9 +24,8 @@ from deltacharger_core.files import given_path
 from deltacharger_core.mcap_file import Raw, RecordingError, require_mcap
 from deltacharger_core.real_time import HOST
 from deltacharger_records.node_parameters import ParameterReader
-from deltacharger_records.parameters import DockingRecorderNodeParameters
 from deltacharger_records.recording.docking_recorder import DockingRecorder
-from deltacharger_records.recording.folder import RecordFolder
+from deltacharger_records.recording.folder import DockingRecorderNodeParameters, RecordFolder
 from deltacharger_records.recording.mcap_recording import ACTIONS, STATE, TOPICS, PolledTopics, schema_text
 from deltacharger_ros import node_support
 from deltacharger_ros.diagnostics import ERROR, OK, Diagnostics

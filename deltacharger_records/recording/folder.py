@@ -13,11 +13,13 @@ import os
 import re
 import stat
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
 from deltacharger_core.files import sync_folder
 from deltacharger_core.mcap_file import head_of
+from deltacharger_core.parameters import Bounded, number, words
 
 SUFFIX, PARTIAL = ".mcap", ".mcap.partial"
 """Ending of a record's name, and of one in progress."""
@@ -30,6 +32,15 @@ _STAMP = "%Y%m%dT%H%M%SZ"
 _LIKE_OURS = re.compile(r"\d{8}T\d{6}Z(-[^/]+)?\.mcap(\.partial)?", re.DOTALL)
 _UNSAFE = re.compile(r"[^A-Za-z0-9_.]+")
 _ID_MAX = 60  # characters of a request id in a name
+
+
+@dataclass(frozen=True)
+class DockingRecorderNodeParameters(Bounded):
+    """Folder of records, its limit, and the scene's name."""
+
+    folder: str = words("~/deltacharger_records", "folder of the records")
+    max_megabytes: int = number(500, 10, 1_000_000, "1e6 bytes", "total size of the records in {unit}")
+    scene: str = words("", "written to each record")
 
 
 class RecordFolder:

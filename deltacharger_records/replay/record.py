@@ -16,7 +16,8 @@ from deltacharger_core.files import parse_json
 from deltacharger_core.mcap_file import RecordingError
 from deltacharger_records.node_parameters import ParameterReader, known_settings, recorded_settings
 from deltacharger_records.recording.folder import ABOUT, END, RESULT
-from deltacharger_records.recording.mcap_recording import TOPICS, Recording
+from deltacharger_records.recording.mcap_recording import TOPICS
+from deltacharger_records.recording.recorded import Recording
 from deltacharger_records.replay.run import Run, RunBuilder
 from deltacharger_ros.client import Guest
 from deltacharger_ros.clock import steady_timer

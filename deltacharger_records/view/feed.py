@@ -18,8 +18,9 @@ from deltacharger_docking.contact import ContactCurrent
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_records.recording.mcap_recording import DECISION, STATE, PolledTopics, Recording, Topic, decode
+from deltacharger_records.recording.mcap_recording import DECISION, STATE, PolledTopics, Topic
 from deltacharger_records.recording.mcap_recording import TOPICS as RECORDED
+from deltacharger_records.recording.recorded import Recording, decode
 from deltacharger_records.replay.words import numbers
 from deltacharger_records.view.log import ViewLog
 from deltacharger_records.view.shapes import pad_picture
