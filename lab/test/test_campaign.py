@@ -19,7 +19,7 @@ import pytest
 import yaml
 
 from deltacharger_bringup.cli.main import main
-from deltacharger_lab.campaigns import docking, runner
+from deltacharger_lab.campaigns import docking
 from deltacharger_lab.campaigns.compare import compare_campaigns, compare_numbers, compare_rates, mcnemar
 from deltacharger_lab.campaigns.docking import RESULTS
 from deltacharger_lab.campaigns.draw import draw
@@ -210,13 +210,6 @@ def test_a_crash_becomes_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
     assert (summary["n"], summary["crashed"], summary["refused"]) == (3, 1, {})
 
 
-def test_a_worker_with_other_versions_computes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    text = settings(1).to_json()
-    monkeypatch.setattr(runner, "versions", lambda: {"python": "2.7", "numpy": "1", "deltacharger": "0", "code": "x"})
-    with pytest.raises(CampaignError, match=r"python 2\.7 instead of"):
-        run_batch(text, [0])
-
-
 def test_batches_have_every_number_once_and_suit_the_workers() -> None:
     assert batches([], 0, 2) == []
     assert batches([4, 7, 9], 2, 1) == [[4, 7], [9]]
@@ -260,12 +253,8 @@ def test_a_known_difference_of_rates_is_found() -> None:
     assert found["p"] == pytest.approx(2.0**-17)
 
 
-@pytest.mark.parametrize(
-    ("only_a", "only_b", "p"), [(0, 0, 1.0), (1, 0, 1.0), (5, 5, 1.0), (0, 6, 2.0**-5), (2, 8, 0.109375)]
-)
-def test_mcnemar_exactly(only_a: int, only_b: int, p: float) -> None:
-    assert mcnemar(only_a, only_b) == pytest.approx(p)
-    assert mcnemar(only_b, only_a) == pytest.approx(p)
+def test_mcnemar_exactly() -> None:
+    assert [mcnemar(5, 5), mcnemar(2, 8), mcnemar(8, 2)] == pytest.approx([1.0, 0.109375, 0.109375])
     assert mcnemar(40_000, 40_000) == pytest.approx(1.0)
 
 

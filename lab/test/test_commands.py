@@ -51,7 +51,7 @@ REFUSED = {
     "campaign --out text.npz": "text.npz is a file",
     "campaign --out new --scenes defualt": "'default'",
     "campaign --compare new new": "_campaign.json",
-    "report kinematics --points 49": "--points",
+    "report vision --images 1": "--images",
     "report tactile --seed -1": "--seed",
     "report footprint --scene bensch": "'bench'",
     **{f"report {subject} --seed 1": "--seed" for subject in ("footprint", "simulation")},

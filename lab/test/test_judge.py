@@ -64,10 +64,8 @@ def judged(*worlds: Any, excuses: list[tuple[float, float]] | None = None) -> di
     [
         ((0.0, 0.0073, 0.0), False),
         ((0.0, 0.0075, 0.0), True),
-        ((0.02, -0.0075, 0.0), True),
         ((0.0, 0.0, math.radians(12.0)), False),
         ((0.0, 0.0, math.radians(-12.2)), True),
-        ((0.2, 0.0, 0.0), False),
     ],
 )
 def test_bars_lie_wrong_where_the_terminal_says(pose: tuple[float, float, float], wrong: bool) -> None:

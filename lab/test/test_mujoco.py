@@ -13,12 +13,7 @@ import pytest
 
 from deltacharger_core.parameters import ParameterError
 from deltacharger_kinematics.geometry import DeltaGeometry, LimbAdjustment
-from deltacharger_lab.mujoco.world import (
-    mujoco_world,
-    pull,
-    refuse,
-    side_pull,
-)
+from deltacharger_lab.mujoco.world import mujoco_world, pull, refuse, side_pull
 from deltacharger_sim.parameters import (
     CableParameters,
     ContactParameters,

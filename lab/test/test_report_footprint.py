@@ -76,13 +76,8 @@ def test_a_scene_is_measured_or_left_out_with_a_reason(tmp_path: Path) -> None:
 
 
 def test_targets_are_judged_by_the_bench_scene_in_one_process_and_figures_are_medians_with_their_range() -> None:
-    figures = {
-        "rss_mb": 90.0,
-        "rest_percent": 25.5,
-        "docking_percent": math.nan,
-        "reports_ready_s": 4.0,
-        "ready_s": 6.0,
-    }
+    figures = {"rss_mb": 90.0, "rest_percent": 25.5, "docking_percent": math.nan}
+    figures |= {"reports_ready_s": 4.0, "ready_s": 6.0}
     figures |= {f"{when}_{name}_hz": 120.0 for when in ("rest", "docking") for name in ("tactile_frame", "servo_state")}
     run = {**figures, "docking_problem": "x"}
     row = {"scene": "bench", "way": ONE, **footprint_report.summary([run, run])}

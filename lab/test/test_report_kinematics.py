@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -26,7 +28,7 @@ def test_the_reference_brings_points_back_to_30_digits(geometry: DeltaGeometry) 
 
 def test_the_frozen_headline_holds_on_few_points() -> None:
     """docs/reports/kinematics.md, version 1.0.0, seed 1: errors at rounding, no wrong decision on reach."""
-    plan = report.quick_plan(50, 1)
+    plan = dataclasses.replace(report.make_plan(1, True), points=50)
     exact, solvers = ExactDelta(), report.inverse_solvers(DeltaGeometry())
     samples = report.inverse_samples(exact, plan)
     for solver in solvers:

@@ -102,12 +102,6 @@ def test_overlapping_bars_carry_part_of_the_force() -> None:
     assert without.taxels.sum(axis=(1, 2, 3)) == pytest.approx([70.0] * 3, rel=1e-6)
 
 
-@pytest.mark.parametrize(("load", "more"), [({"line": (0.005, 0.0)}, 3.0), ({"lean": (0.0, 0.002)}, 0.5)])
-def test_load_follows_the_line_of_action_and_the_lean(load: dict[str, tuple[float, float]], more: float) -> None:
-    left, right = MODEL.solve((0.0, 0.0, 0.0), 70.0, **load).taxels[0].sum(axis=(1, 2))
-    assert left > right + more
-
-
 @pytest.mark.parametrize(
     "values",
     [

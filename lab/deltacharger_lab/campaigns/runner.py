@@ -16,7 +16,7 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
 from deltacharger_lab.campaigns.docking import dock_once
-from deltacharger_lab.campaigns.store import CampaignError, Store, scene_of, versions
+from deltacharger_lab.campaigns.store import CampaignError, Store, scene_of
 
 BATCH_MOST = 50  # dockings of a batch, some seconds of work; kill -9 loses at most this of each worker
 _AHEAD = 2  # batches per worker submitted ahead
@@ -43,19 +43,8 @@ def run_batch(text: str, numbers: Sequence[int], stop: Callable[[], bool] | None
         text: settings of the campaign from `CampaignSettings.to_json`.
         numbers: of the dockings.
         stop: called before each docking; None = the event of the starting process.
-
-    Raises:
-        CampaignError: this worker's versions are not those of the campaign.
     """
     settings, scene = scene_of(text)
-    ours = versions()
-    differing = [
-        f"{name} {ours.get(name)} instead of {value}"
-        for name, value in settings.versions.items()
-        if ours.get(name) != value
-    ]
-    if differing:
-        raise CampaignError(f"a worker has other versions: {', '.join(differing)}; install the same versions there")
     halted = stop or (lambda: _halt is not None and _halt.is_set())
     rows = []
     for number in numbers:

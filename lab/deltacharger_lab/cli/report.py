@@ -22,7 +22,7 @@ from deltacharger_bringup.cli.output import (
 )
 
 _OF = {
-    "kinematics": ("error against run time of inverse and forward kinematics", "points seed"),
+    "kinematics": ("error against run time of inverse and forward kinematics", "seed"),
     "tactile": ("compare classifiers of misalignment on simulated data", "seed"),
     "vision": ("the electrode detector on simulated images", "images seed"),
     "simulation": ("error against run time, stability and energy of the simulated mechanics", ""),
@@ -45,7 +45,6 @@ def add_report(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(flag, help=f"{subjects}: {text}", **more)
 
     own("--seed", "random seed (default: the report's)", type=SEED, metavar="S")
-    own("--points", "points per set (5000, with --quick 200)", type=integer(50, 100_000), metavar="N")
     own("--images", "images per row (150, with --quick 15)", type=integer(2, 1000), metavar="N")
     own("-n", "dockings of each campaign (as planned, 160 to 20000)", type=integer(1, 10_000_000), metavar="N")
     own("--only", "run only this campaign; may be repeated", action="append", metavar="NAME")
@@ -79,11 +78,9 @@ def _kinematics(options: argparse.Namespace) -> Result:
     """Write the report of the kinematics into a folder."""
     from deltacharger_lab.reports.kinematics import report
 
-    count = options.points or (report.QUICK_POINTS if options.quick else report.DEFAULT_POINTS)
-    plan = (report.quick_plan if options.quick else report.full_plan)(count, options.seed)
-    command = f"{_command(options)} --points {count} --seed {plan.seed}"
     directory = folder_to_write("--out", options.out)
-    results = report.build(plan, directory, command, log_line)
+    plan = report.make_plan(options.seed, options.quick)
+    results = report.build(plan, directory, f"{_command(options)} --seed {options.seed}", log_line)
     _print_absent(results["absent"])
     return _end(options, results, directory, ("seed", "points"))
 
@@ -204,7 +201,7 @@ def _end(
 ) -> Result:
     """Return the written files, the main one first, and which targets are met."""
     remarks = [f"no picture {name}: {reason}" for name, reason in results["missing_pictures"].items()]
-    files = [path for kind in ("html", "md", "json") if (path := directory / f"{options.subject}.{kind}").exists()]
+    files = [path for kind in ("md", "json") if (path := directory / f"{options.subject}.{kind}").exists()]
     remarks.append(f"{files[0]}: written in {results['elapsed_s']:.0f} s")
     written = [*map(str, files), *(str(directory / name) for name in (*also, *results["pictures"]))]
     keys = ("targets", "absent", "missing_pictures", "elapsed_s", *more)

@@ -6,7 +6,6 @@ Templates omit the line under the head of a table: a block of rows is a table, i
 
 from __future__ import annotations
 
-import base64
 import contextlib
 import datetime
 import importlib
@@ -69,29 +68,6 @@ def _wrapped(block: str) -> str:
     return textwrap.fill(" ".join(block.split()), _WIDTH, break_long_words=False, break_on_hyphens=False)
 
 
-def write_html(page: Path, path: Path) -> None:
-    """Write a Markdown page as one file with its pictures inside.
-
-    Raises:
-        ModuleNotFoundError: jinja2 or markdown-it-py is missing.
-        OSError: a file cannot be read or written.
-    """
-    from markdown_it import MarkdownIt
-
-    markdown = MarkdownIt("js-default")
-    text = page.read_text("utf-8")
-    tokens = markdown.parse(text)
-    for token in (child for each in tokens for child in each.children or ()):
-        if token.type == "image":
-            inside = base64.b64encode((page.parent / str(token.attrs["src"])).read_bytes()).decode()
-            token.attrs["src"] = f"data:image/png;base64,{inside}"
-    shown = {
-        "title": text.partition("\n")[0].lstrip("# "),
-        "body": markdown.renderer.render(tokens, markdown.options, {}),
-    }
-    path.write_text(rendered("page.html.j2", shown), "utf-8")
-
-
 Progress = Callable[[str], None]
 """Called with the next step."""
 Picture = Callable[[dict[str, Any], Path], None]
@@ -105,7 +81,6 @@ class Report:
         subject: name of the report, its template and its files SUBJECT.json and SUBJECT.md.
         command: that writes it.
         libraries: whose versions the page lists.
-        html: whether to write the page as one HTML file, too.
         measures_with: libraries that the measurement needs.
 
     Raises:
@@ -117,12 +92,11 @@ class Report:
         subject: str,
         command: str,
         libraries: Iterable[str],
-        html: bool = False,
         measures_with: Iterable[str] = (),
     ) -> None:
-        for needed in ("jinja2", *(["markdown_it"] if html else []), *measures_with):
+        for needed in ("jinja2", *measures_with):
             importlib.import_module(needed)
-        self._subject, self._html = subject, html
+        self._subject = subject
         self._started = time.monotonic()
         self.results: dict[str, Any] = {
             "machine": machine(libraries),
@@ -150,22 +124,19 @@ class Report:
         self.results["missing_pictures"] = reasons
         self.results["elapsed_s"] = time.monotonic() - self._started
 
-    def write(self, directory: Path, indent: int | None = 1, **more: Any) -> dict[str, Any]:
-        """Write figures (NaN and infinity as null), the page rendered from them, and HTML; return the figures.
+    def write(self, directory: Path, **more: Any) -> dict[str, Any]:
+        """Write figures (NaN and infinity as null), and the page rendered from them; return the figures.
 
         Args:
             directory: of the report.
-            indent: of the JSON; None = all in one line.
             more: further names for the template.
 
         Raises:
             OSError: a file cannot be written.
         """
         figures, path = json_ready(self.results), directory / f"{self._subject}.json"
-        path.write_text(json.dumps(figures, indent=indent, ensure_ascii=False) + "\n", "utf-8")
+        path.write_text(json.dumps(figures, indent=1, ensure_ascii=False) + "\n", "utf-8")
         path.with_suffix(".md").write_text(render(self._subject, figures, **more), "utf-8")
-        if self._html:
-            write_html(path.with_suffix(".md"), path.with_suffix(".html"))
         return self.results
 
 

@@ -149,28 +149,6 @@ def _cloud(axes: Axes, every: summary.Columns | None, title: str) -> None:
         axes.legend(**_LEGEND, loc="upper left")
 
 
-def _load(results: dict[str, Any], path: Path) -> None:
-    rows = results["rows"]["random"]
-    charged = rows["charged"]
-    panels = (
-        ("rest_current", "contact current at rest, A", charged, summary.BAND),
-        ("servo_current_hottest", "hottest servo while charging, A", charged, (summary.HOTTEST_MOST,)),
-        ("servo_push", "largest push of the servos, N", np.full(len(charged), True), (summary.PUSH_MOST,)),
-    )
-    about = "simulated dockings of `random`, gravity from any direction; red: the targets"
-    with picture(path, 11.0, 3.9, "Load on servos and target", about) as figure:
-        for axes, (name, text, chosen, limits) in zip(figure.subplots(1, 3), panels, strict=True):
-            values = rows[name][chosen].astype(float)
-            values = values[np.isfinite(values)]
-            low, high = min(*values, *limits) if len(values) else 0.0, max(*values, *limits) if len(values) else 1.0
-            margin = 0.04 * (high - low)
-            axes.hist(values, np.linspace(low - margin, high + margin, 61), color=BLUE, zorder=2)
-            for limit in limits:
-                axes.axvline(limit, color=RED, linewidth=1.2, linestyle="--")
-            axes.set(yscale="log", ylim=(0.8, None), xlabel=text)
-        figure.axes[0].set_ylabel("dockings")
-
-
 def _alignment(results: dict[str, Any], path: Path) -> None:
     rows = results["rows"]
     about = "charged simulated dockings of `random`; the other forms on the same seeds"
@@ -221,7 +199,6 @@ def _errors(results: dict[str, Any], path: Path) -> None:
 PICTURES = {
     "docking-angle.png": _angle,
     "docking-clearance.png": _clearance,
-    "docking-load.png": _load,
     "docking-alignment.png": _alignment,
     "docking-errors.png": _errors,
     NAME: outcomes,

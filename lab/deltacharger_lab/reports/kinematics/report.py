@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 import statistics
 import time
 import timeit
@@ -25,14 +26,11 @@ from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_lab.reports.kinematics import sets
 from deltacharger_lab.reports.kinematics.reference import DIGITS, Exact, ExactDelta
 from deltacharger_lab.reports.kinematics.sets import PointSet
-from deltacharger_lab.reports.report import Picture, Progress, Report, at_least, at_most
+from deltacharger_lab.reports.report import Progress, Report, at_least, at_most
 
-DEFAULT_POINTS, QUICK_POINTS = 5_000, 200
 ARRAY, SCALAR = "Delta, array", "ScalarDelta"
-PICTURES: dict[str, Picture] = {}
 BATCH = 10_000
 _SINGLES = 200  # points in one timing of single calls
-_LARGEST_COUNT = 1 << 20  # repeated calls in one timing
 _MERGED = 1e-13  # rad; closer knees count as one
 
 
@@ -51,12 +49,7 @@ class Stopwatch:
     def time(self, call: Callable[[], object]) -> float:
         """Return the seconds of a call, after a first one that does not count."""
         call()
-        count = 1
-        while count < _LARGEST_COUNT:
-            spent = _spent(call, count)
-            if spent >= self.least:
-                break
-            count = max(2 * count, min(_LARGEST_COUNT, int(1.2 * count * self.least / max(spent, 1e-7))))
+        count = math.ceil(self.least / max(_spent(call, 1), 1e-7))
         return statistics.median(_spent(call, count) / count for _ in range(self.repeats))
 
 
@@ -87,14 +80,11 @@ class KinematicsPlan:
         return np.random.default_rng([self.seed, stream])
 
 
-def full_plan(points: int, seed: int) -> KinematicsPlan:
-    """Return what the report measures by default."""
-    return KinematicsPlan(points, 100_000, seed, 1_000_000, Stopwatch())
-
-
-def quick_plan(points: int, seed: int) -> KinematicsPlan:
-    """Return what a quick look and the tests measure."""
-    return KinematicsPlan(points, 10_000, seed, 10_000, Stopwatch(3, 0.004))
+def make_plan(seed: int, quick: bool) -> KinematicsPlan:
+    """Return what the report measures."""
+    if quick:
+        return KinematicsPlan(200, 10_000, seed, 10_000, Stopwatch(3, 0.004))
+    return KinematicsPlan(5_000, 100_000, seed, 1_000_000, Stopwatch())
 
 
 @dataclass(frozen=True)
@@ -287,7 +277,7 @@ def build(plan: KinematicsPlan, directory: Path, command: str, progress: Progres
     batch = _tiled(triples, plan.largest)
     results["poses_per_s"] = plan.largest / watch.time(functools.partial(Delta(geometry).inverse, batch))
     results["targets"] = targets(results)
-    report.draw(PICTURES, directory)
+    report.draw({}, directory)
     return report.write(directory, batch=BATCH)
 
 

@@ -76,23 +76,6 @@ def times(plan: SimulationPlan, names: tuple[str, ...]) -> list[dict[str, Any]]:
     return rows
 
 
-def trace(name: str, step: float) -> dict[str, Any]:
-    """Return time (s), z (m) and contact force (N) through the docking and a pull-off, for a picture."""
-    arm = Arm(model_world(name, WITH_FRICTION, step), step)
-    arm.go((0.0, 0.0, 0.06), 1.0)
-    begin, course = arm.world.time, []
-    every = max(1, round(0.005 / step))
-    for index in range(24):
-        share = min((index + 1) / 8.0, 1.0) if index < 16 else 1.0 - (index - 15) / 8.0
-        arm.aim((0.0, 0.0, 0.06 + 0.026 * share), 2.8)
-        for count in range(1, round(0.1 / step) + 1):
-            arm.world.step(step)
-            if count % every == 0:
-                mechanics = arm.world.mechanics
-                course.append([arm.world.time - begin, mechanics.position[2], mechanics.contact_force])
-    return {"model": name, "step": step, "course": course}
-
-
 def complete_docking(name: str, step: float, number: int) -> dict[str, Any]:
     """Dock once with the real state machine; return code, duration, current and misalignment.
 
@@ -202,12 +185,3 @@ def roughly(name: str, servo: float, contact: float, step: float, **changes: Any
         if not bounded:
             break
     return {"bounded": bounded, "imbalance": imbalance}
-
-
-def cells(points: list[dict[str, Any]], plan: SimulationPlan) -> list[list[str]]:
-    """Return for each servo stiffness, for each contact stiffness, a character for each step."""
-    found = {(point["servo"], point["contact"], point["step"]): point["cell"] for point in points}
-    return [
-        ["".join(found[servo, contact, step] for step in plan.map_steps) for contact in plan.map_contacts]
-        for servo in plan.map_servos
-    ]

@@ -14,7 +14,6 @@ from deltacharger_lab.reports.formats import fixed, tens
 from deltacharger_lab.reports.pool import ReportTask, joined, work
 from deltacharger_lab.reports.report import Progress, Report, at_least, at_most, none
 from deltacharger_lab.reports.simulation import impact, lean, models
-from deltacharger_lab.reports.simulation.impact import worst
 from deltacharger_lab.reports.simulation.models import DIVERGED, FORCE_LIMIT, PEAK_LIMIT
 from deltacharger_lab.reports.simulation.scenes import (
     LIGHT,
@@ -97,51 +96,9 @@ def _map(results: dict[str, Any], path: Path) -> None:
         rows[0].set_ylabel("contact stiffness, N/m per electrode")
 
 
-def _impact(results: dict[str, Any], path: Path) -> None:
-    about = "worst error in % of all servos and strikes, without those that graze the stop, against the reference"
-    with picture(path, 10.0, 4.4, "Peak force of an impact", about) as figure:
-        from matplotlib.colors import LogNorm
-
-        rows = [row for row in results["strikes"] if not row["grazes"]]
-        steps, contacts = (sorted({row[key] for row in rows}) for key in ("step", "contact"))
-        panels = figure.subplots(1, 2)
-        titles = {"percent": "resolved within the step", "ends_percent": "forces at steps' ends"}
-        for axes, (key, title) in zip(panels, titles.items(), strict=True):
-            values = [[worst(rows, key, step=step, contact=contact) for step in steps] for contact in contacts]
-            shown = [[max(abs(value), 0.1) for value in row] for row in values]
-            axes.imshow(shown, origin="lower", aspect="auto", cmap="viridis", norm=LogNorm(0.5, 100.0))
-            for index, row in enumerate(values):
-                for column, value in enumerate(row):
-                    colour = "white" if abs(value) < PEAK_LIMIT else INK
-                    axes.text(column, index, f"{value:+.1f}", ha="center", va="center", fontsize=8, color=colour)
-            axes.set_xticks(range(len(steps)), [f"{1000.0 * step:g}" for step in steps])
-            axes.set_yticks(range(len(contacts)), [tens(each) for each in contacts])
-            axes.set(title=title, xlabel="step, ms", ylabel="contact stiffness, N/m per electrode")
-            axes.grid(visible=False)
-
-
-def _docking(results: dict[str, Any], path: Path) -> None:
-    about = "approach, snap, push, pull off; commands every 0.1 s"
-    with picture(path, 10.0, 5.2, "One docking by every model", about) as figure:
-        top, bottom = figure.subplots(2, 1, sharex=True)
-        styles = {(LIGHT, 0.001): (BLUE, "-", 1.8), (LIGHT, 0.01): (GREEN, "--", 1.4), (LIGHT, 0.1): (PURPLE, ":", 1.4)}
-        for each in results["traces"]:
-            colour, line, width = styles.get((each["model"], each["step"]), (ORANGE, "-", 1.0))
-            time, z, force = zip(*each["course"], strict=True)
-            label = f"{each['model']}, {1000.0 * each['step']:g} ms"
-            top.plot(time, [1000.0 * value for value in z], line, color=colour, linewidth=width, label=label)
-            bottom.plot(time, force, line, color=colour, linewidth=width)
-        top.axhline(80.0, color=FAINT, linewidth=0.8)
-        top.set_ylabel("z, mm")
-        bottom.set(ylabel="contact force, N", xlabel="time, s")
-        top.legend(fontsize=8, loc="lower right")
-
-
 PICTURES = {
     "simulation-error-time.png": _error_time,
     "simulation-map.png": _map,
-    "simulation-impact.png": _impact,
-    "simulation-docking.png": _docking,
 }
 
 
@@ -169,17 +126,15 @@ def build(plan: SimulationPlan, directory: Path, command: str, progress: Progres
     progress("run times, alone")
     results["times"] = models.times(plan, names)
     results["lean_times"] = lean.times(plan)
-    traces = _measure(results, plan, names, progress)
+    _measure(results, plan, names, progress)
     progress("pictures")
-    report.draw(PICTURES, directory, traces=traces)
+    report.draw(PICTURES, directory)
     results["targets"] = targets(results)
     return report.write(directory, is_calm=is_calm, settled=settled, ends=ends, stability=models, impact=impact)
 
 
-def _measure(
-    results: dict[str, Any], plan: SimulationPlan, names: tuple[str, ...], progress: Progress
-) -> list[dict[str, Any]]:
-    """Put the measurements into `results`, and return the traces that are only drawn."""
+def _measure(results: dict[str, Any], plan: SimulationPlan, names: tuple[str, ...], progress: Progress) -> None:
+    """Put the measurements into `results`."""
     known = MUJOCO if MUJOCO in names else LIGHT
     first = [
         ReportTask("reference", models.both, (name, plan.reference_step)) for name in names if name in (LIGHT, MUJOCO)
@@ -201,7 +156,6 @@ def _measure(
     for name in ("map", "strikes", "others", "lean", "lean_rough"):
         results[name] = joined(found.get(name, []))
     results["tolerances"] = found["tolerances"][0]
-    return found["traces"]
 
 
 def tasks(
@@ -222,11 +176,7 @@ def tasks(
                 found.append(ReportTask("map", models.column, arguments, 0.0002 / plan.map_steps[0]))
     for case in models.docking_cases(plan, names):
         found.append(ReportTask("dockings", models.complete_docking, case, 2.0))
-    found += [ReportTask("traces", models.trace, (LIGHT, step), 0.2) for step in (0.001, 0.01, 0.1)]
-    found += lean.tasks(plan, names)
-    if MUJOCO in names:
-        found.append(ReportTask("traces", models.trace, (MUJOCO, 0.001), 0.5))
-    return found
+    return [*found, *lean.tasks(plan, names)]
 
 
 def targets(results: dict[str, Any]) -> list[dict[str, Any]]:

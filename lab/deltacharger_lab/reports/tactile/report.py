@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measures the classifiers of misalignment and writes the report: figures as JSON, a page, one HTML file, pictures."""
+"""Measures the classifiers of misalignment and writes the report: figures as JSON, a page, pictures."""
 
 from __future__ import annotations
 
@@ -237,7 +237,7 @@ _LIBRARIES = ("numpy", "scikit-learn", "xgboost", "xgboost-cpu", "torch", "matpl
 
 
 def build(plan: TactilePlan, directory: Path, command: str, progress: Progress) -> dict[str, Any]:
-    """Measure, write page, HTML, figures and pictures into `directory` and return the figures.
+    """Measure, write page, figures and pictures into `directory` and return the figures.
 
     Raises:
         ModuleNotFoundError: no training library is installed.
@@ -246,7 +246,7 @@ def build(plan: TactilePlan, directory: Path, command: str, progress: Progress) 
     """
     if not plan.names:
         raise ModuleNotFoundError("no training library is installed", name="sklearn")
-    report = Report("tactile", command, _LIBRARIES, html=True)
+    report = Report("tactile", command, _LIBRARIES)
     results = report.results
     results |= {
         "simulated": True,

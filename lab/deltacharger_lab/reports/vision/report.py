@@ -208,7 +208,7 @@ _LIBRARIES = ("numpy", "opencv-python-headless", "opencv-python", "mujoco", "mat
 
 
 def build(plan: VisionPlan, directory: Path, command: str, progress: Progress) -> dict[str, Any]:
-    """Measure, write page, HTML, figures and pictures into `directory` and return the figures.
+    """Measure, write page, figures and pictures into `directory` and return the figures.
 
     Raises:
         ModuleNotFoundError: OpenCV is missing.
@@ -217,7 +217,7 @@ def build(plan: VisionPlan, directory: Path, command: str, progress: Progress) -
     """
     if "opencv" in plan.absent:
         raise ModuleNotFoundError(plan.absent["opencv"], name="cv2")
-    report = Report("vision", command, _LIBRARIES, html=True)
+    report = Report("vision", command, _LIBRARIES)
     results = report.results
     results |= {
         "simulated": True,
@@ -231,7 +231,7 @@ def build(plan: VisionPlan, directory: Path, command: str, progress: Progress) -
     progress("pictures")
     report.draw(PICTURES, directory)
     results["targets"] = targets(results)
-    return report.write(directory, None, view=conditions, upper_bound=upper_bound)
+    return report.write(directory, view=conditions, upper_bound=upper_bound)
 
 
 def _measure(results: dict[str, Any], plan: VisionPlan, progress: Progress) -> None:
