@@ -14,7 +14,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from deltacharger_core.parameters import declared, did_you_mean
-from deltacharger_scenes.overrides import Overrides
+from deltacharger_scenes.scene import Overrides
 
 _PACKAGE = "deltacharger"
 _PREFIX = "charger_"

@@ -103,7 +103,7 @@ NODES: dict[str, NodeSpec] = {
     "simulated_camera_node": NodeSpec(
         "deltacharger_sim.charger.simulated_camera_node.SimulatedCameraNode",
         parameters=(
-            "deltacharger_sim.charger.parameters.SimulatedCameraNodeParameters",
+            "deltacharger_sim.charger.simulation.SimulatedCameraNodeParameters",
             _FRAMES,
         ),
         stands_in_for="camera_node",

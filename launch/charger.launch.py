@@ -3,7 +3,7 @@
 
     ros2 launch deltacharger charger.launch.py scene:=bench charger_servo_port:=/dev/ttyUSB1 charger_namespace:=left
 
-The scene lists nodes and parameters; deltacharger_scenes.overrides applies the other arguments to it. A wrong argument
+The scene lists nodes and parameters; deltacharger_scenes.scene applies the other arguments to it. A wrong argument
 ends the launch before anything starts. deltacharger_bringup.launch_arguments lists the arguments.
 
 Settings of an including launch file (namespace, parameters, remaps, environment) apply to every process, also to nodes
@@ -55,8 +55,7 @@ from deltacharger_bringup.launch_arguments import (
 )
 from deltacharger_core import environment, signals
 from deltacharger_scenes.node_table import NODES
-from deltacharger_scenes.overrides import Overrides, override
-from deltacharger_scenes.scene import Scene, SceneError, load_scene
+from deltacharger_scenes.scene import Overrides, Scene, SceneError, load_scene, override
 from launch import LaunchContext, LaunchDescription
 
 PACKAGE = "deltacharger"

@@ -9,7 +9,7 @@ _OF: dict[str, tuple[str, ...]] = {
     "servo_node": ("dynamixel_sdk", "serial"),
     "simulated_charger": ("serial",),
     "camera_node": ("depthai", "lz4", "mcap", "zstandard"),
-    "simulated_camera_node": ("cv2",),
+    "simulated_camera_node": ("cv2", "serial"),
     "electrode_detector_node": ("cv2", "tf2_ros"),
     "docking_recorder_node": ("lz4", "mcap", "zstandard"),
     "mock_navigator_node": ("nav2_msgs", "tf2_ros"),

@@ -13,8 +13,7 @@ from pathlib import Path
 import pytest
 
 from deltacharger_core.environment import LARGEST_DOMAIN
-from deltacharger_scenes.overrides import problems
-from deltacharger_scenes.scene import load_scene
+from deltacharger_scenes.scene import load_scene, problems
 
 from .chargers import Process
 from .marks import rest

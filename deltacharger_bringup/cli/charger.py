@@ -293,8 +293,7 @@ def _with_options(scene: Scene, options: argparse.Namespace) -> Scene:
     Raises:
         CommandError: they do not fit the scene; exit code 2.
     """
-    from deltacharger_scenes.overrides import Overrides, override
-    from deltacharger_scenes.scene import SceneError
+    from deltacharger_scenes.scene import Overrides, SceneError, override
 
     fields = dataclasses.fields(Overrides)
     try:

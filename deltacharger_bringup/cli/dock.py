@@ -130,7 +130,7 @@ def dock(options: argparse.Namespace) -> Result:
     with Interrupts() as interrupts, ros_context() as context, contextlib.ExitStack() as stack:
         from deltacharger_records.replay.record import Recorder
         from deltacharger_ros.client import ChargerClient
-        from deltacharger_scenes.overrides import RECORDER, recorder_alone, with_recorder
+        from deltacharger_scenes.scene import RECORDER, recorder_alone, with_recorder
 
         client = stack.enter_context(ChargerClient(options.namespace, context))
         composition: Composition | None = None

@@ -12,8 +12,7 @@ from typing import Any
 from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, Result, wrong_input
 from deltacharger_core.parameters import Declaration, declaration
 from deltacharger_scenes.node_table import NODES
-from deltacharger_scenes.overrides import problems
-from deltacharger_scenes.scene import Scene, SceneError, load_scene, packaged_scenes, servos_apart
+from deltacharger_scenes.scene import Scene, SceneError, load_scene, packaged_scenes, problems, servos_apart
 
 
 def add_scene(parser: argparse.ArgumentParser) -> None:

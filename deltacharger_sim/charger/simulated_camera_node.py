@@ -27,7 +27,7 @@ from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import node_support
 from deltacharger_ros.parameters import declare_all, reject_unknown
-from deltacharger_sim.charger.parameters import SimulatedCameraNodeParameters
+from deltacharger_sim.charger.simulation import SimulatedCameraNodeParameters
 from deltacharger_vision.errors import VisionError
 from deltacharger_vision.hand_eye.board import Board
 from deltacharger_vision.images import COLOR, DEPTH

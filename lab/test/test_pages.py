@@ -23,7 +23,7 @@ def test_the_table_of_nodes_lists_the_parameters_that_they_declare(context: Any,
         pytest.importorskip(library, reason=what)
     from deltacharger_lab.pages import parameters, policies, topics
     from deltacharger_scenes.node_table import NODES
-    from deltacharger_scenes.overrides import tables
+    from deltacharger_scenes.scene import tables
 
     with parameters.every_node(context, namespace) as nodes:
         written = parameters.document(nodes), topics.document(nodes), *policies.documents(nodes).values()

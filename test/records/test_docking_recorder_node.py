@@ -25,8 +25,7 @@ from deltacharger_records.replay.words import why
 from deltacharger_ros.log import Log
 from deltacharger_ros.messages import PHASES
 from deltacharger_ros.outcomes import DockRequest, Pose, Progress
-from deltacharger_scenes.overrides import RECORDER, with_recorder
-from deltacharger_scenes.scene import Scene
+from deltacharger_scenes.scene import RECORDER, Scene, with_recorder
 
 from ..running_charger import RunningCharger
 

@@ -16,8 +16,17 @@ from deltacharger_bringup.cli.main import main
 from deltacharger_kinematics.geometry import load_geometry
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.node_table import NODES
-from deltacharger_scenes.overrides import RECORDER, Overrides, override, problems
-from deltacharger_scenes.scene import SIMULATED_TARGET, SceneError, load_scene, packaged_scenes, parse_scene
+from deltacharger_scenes.scene import (
+    RECORDER,
+    SIMULATED_TARGET,
+    Overrides,
+    SceneError,
+    load_scene,
+    override,
+    packaged_scenes,
+    parse_scene,
+    problems,
+)
 
 
 def write(folder: Path, text: str) -> Path:
@@ -181,7 +190,7 @@ def test_an_unsuitable_argument_is_refused_by_its_name(scene: str, arguments: di
 HEAVY = """
 import sys
 from deltacharger_scenes.node_table import NODES
-from deltacharger_scenes.overrides import tables
+from deltacharger_scenes.scene import tables
 assert all(tables(name) for name in NODES)
 sys.exit(sorted({"rclpy", "cv2", "depthai", "mujoco", "serial", "matplotlib", "scipy"} & set(sys.modules)) or None)
 """
