@@ -49,11 +49,6 @@ class _Hardware:
     clear_weld: bool = False
     problems: list[Finding] = field(default_factory=list)
 
-    @property
-    def is_one_cable(self) -> bool:
-        """Whether the servos are connected to the board."""
-        return self.servo_port == BEHIND_BOARD
-
 
 def doctor(options: argparse.Namespace) -> Result:
     """Examine everything; print the findings."""
@@ -103,9 +98,6 @@ def _hardware(options: argparse.Namespace) -> _Hardware:
         hardware.simulated = scene
         return hardware
     environment.reach(scene.network)  # as in the command that starts it
-    for node, port in (("servo_node", "servo"), ("tactile_node", "board")):
-        if node not in scene.nodes:
-            hardware.problems.append(ok(f"{port} port", f"not needed: scene '{scene.name}' starts no {node}"))
     if "servo_node" in scene.nodes:
         values = scene.node_parameters("servo_node", {})
         hardware.servo_port = hardware.servo_port or str(values.get("port", ""))
@@ -130,10 +122,8 @@ def _start_emulators(hardware: _Hardware, stack: contextlib.ExitStack) -> list[F
 
         charger = stack.enter_context(SimulatedCharger(simulation))
         hardware.servo_port, hardware.board_port = charger.servo_port, charger.board_port
-        ports = candidates()
-        remedy = "for a real charger: --scene bench, or --servo-port and --board-port"
-        if ports:
-            remedy += f"; ports of this machine: {', '.join(ports)}"
+        ports = ", ".join(candidates()) or "none"
+        remedy = f"for a real charger: --scene bench, or --servo-port and --board-port; ports of this machine: {ports}"
         yield hint("scene", f"'{scene.name}' is simulated: the ports, servos and board below are emulators", remedy)
 
     return checked("scene", start)
@@ -142,56 +132,48 @@ def _start_emulators(hardware: _Hardware, stack: contextlib.ExitStack) -> list[F
 def _examine_ports(hardware: _Hardware) -> list[Finding]:
     """Return the findings for both ports."""
     servo, board = hardware.servo_port, hardware.board_port
-    found: list[Finding] = []
     if servo and board and same_device(servo, board):
         return [wrong("ports", f"{servo} and {board} are one device", "give two different ports")]
-    if servo:
-        speed, ids, current = hardware.servo_speed, hardware.ids, hardware.current_max
+    found = _examine_servos(hardware) if servo else []
 
-        def look(port: str) -> Iterator[Finding]:
-            from deltacharger_bringup.doctor.servos import examine_servos
+    def check() -> Iterator[Finding]:
+        from deltacharger_bringup.doctor.board import examine_board
 
-            return examine_servos(port, speed, ids, current)
+        return examine_board(board, wired=hardware.wired, clear_weld=hardware.clear_weld)
 
-        found += _examine_servos(hardware, look)
-    if board:
-        text = f"checking the board on {board} ..."
-        wired, clear_weld = hardware.wired, hardware.clear_weld
-
-        def check() -> Iterator[Finding]:
-            from deltacharger_bringup.doctor.board import examine_board
-
-            return examine_board(board, wired=wired, clear_weld=clear_weld)
-
-        found += _examine("board", board, text, check)
-    return found
+    return found + (_examine("board", board, check) if board else [])
 
 
-def _examine_servos(hardware: _Hardware, check: Callable[[str], Iterable[Finding]]) -> list[Finding]:
+def _examine_servos(hardware: _Hardware) -> list[Finding]:
     """Return the findings for the servos and their port, also for servos connected to the board."""
-    port, found = hardware.servo_port, list[Finding]()
-    if not hardware.is_one_cable:
-        return _examine("servos", port, f"checking the servos on {port} ...", lambda: check(port))
-    if not hardware.board_port:
-        return [wrong("servo port", "the servos are on the board, and its port is not given", "give --board-port")]
+    port, board = hardware.servo_port, hardware.board_port
+
+    def look(port: str) -> Iterator[Finding]:
+        from deltacharger_bringup.doctor.servos import examine_servos
+
+        return examine_servos(port, hardware.servo_speed, hardware.ids, hardware.current_max)
 
     def behind() -> Iterator[Finding]:
         from deltacharger_driver.board.keeper import servos_behind
 
-        with servos_behind(hardware.board_port) as path:
-            yield ok("servo port", f"the servos are on the board at {hardware.board_port}")
-            found.extend(checked("servos", lambda: check(path)))
+        with servos_behind(board) as path:
+            yield ok("servo port", f"the servos are on the board at {board}")
+            yield from look(path)
 
-    log_line(f"checking the servos behind the board on {hardware.board_port} ...")
-    return checked("servo port", behind) + found
+    if port != BEHIND_BOARD:
+        return _examine("servos", port, lambda: look(port))
+    if not board:
+        return [wrong("servo port", "the servos are on the board, and its port is not given", "give --board-port")]
+    log_line(f"checking the servos behind the board on {board} ...")
+    return checked("servo port", behind)
 
 
-def _examine(device: str, path: str, text: str, check: Callable[[], Iterable[Finding]]) -> list[Finding]:
+def _examine(device: str, path: str, check: Callable[[], Iterable[Finding]]) -> list[Finding]:
     """Return the findings for a port and, if it opens, for its device."""
     part = f"{device.removesuffix('s')} port"
     found = checked(part, lambda: examine_port(part, path))
     if not any(finding.level == "wrong" for finding in found):
-        log_line(text)
+        log_line(f"checking the {device} on {path} ...")
         found += checked(device, check)
     return found
 
