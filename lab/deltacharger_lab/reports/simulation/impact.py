@@ -25,7 +25,7 @@ from deltacharger_lab.reports.simulation.scenes import (
     model_world,
     world,
 )
-from deltacharger_sim.parameters import MagnetParameters, WorldParameters
+from deltacharger_sim.parameters import ContactParameters, MagnetParameters, WorldParameters
 from deltacharger_sim.world import World
 
 STIFFEST = 1e6  # N/m per electrode up to which the target holds
@@ -118,6 +118,10 @@ def strikes(contact: float, servo: float, steps: tuple[float, ...]) -> list[dict
     return rows
 
 
+class _NearerStop(ContactParameters):
+    hard_stop = ContactParameters.hard_stop - _GRAZING
+
+
 def _grazes(parameters: WorldParameters, start: float, orders: list[Order], duration: float, exact: float) -> bool:
     """Return whether the reference's own peak would change by more than the limit if the stop were 0.05 mm nearer.
 
@@ -126,7 +130,7 @@ def _grazes(parameters: WorldParameters, start: float, orders: list[Order], dura
     contact = parameters.contact
     if contact.stiffness > _SOFT:
         return False
-    nearer = replace(parameters, contact=replace(contact, hard_stop=contact.hard_stop - _GRAZING))
+    nearer = replace(parameters, contact=_NearerStop(contact.stiffness, contact.friction))
     return abs(on_axis(nearer, start, orders, duration).peak / exact - 1.0) > PEAK_LIMIT / 100.0
 
 
