@@ -343,7 +343,7 @@ class ContactSource(PadSource):
         tilt = contact.tilts(self.parameters, self.rig, pose)
         if lean is not None:
             tilt = tilt + approach(lean.residual)
-        return self._model.solve(pose, force, tilt, self.rig.waviness).taxels
+        return self._model.solve(pose, force, tilt, self.rig.waviness)
 
 
 SESSIONS = 5
@@ -496,7 +496,7 @@ def measure(
         tilt = chosen.tilts(parameters, rig, actual[part])
         if lean is not None:
             tilt = tilt + lean[part]
-        taxels = model.solve(actual[part], force[part], tilt, rig.waviness).taxels
+        taxels = model.solve(actual[part], force[part], tilt, rig.waviness)
         sensor = Sensor(parameters.sensor, rig, random, len(taxels))
         for row in range(rows):
             total = np.zeros(taxels.shape)

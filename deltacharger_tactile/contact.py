@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deltacharger_core.arrays import Array, Mask
+from deltacharger_core.arrays import Array
 from deltacharger_core.machine import COLUMNS, PADS, ROWS
 from deltacharger_tactile.parameters import PadContactParameters
 
@@ -46,21 +46,6 @@ class Waviness:
         return Waviness(amplitude, 2.0 * np.pi / length, random.uniform(0.0, 2.0 * np.pi, (PADS, WAVES)))
 
 
-@dataclass(frozen=True)
-class Contact:
-    """Result of N contacts.
-
-    Attributes:
-        taxels: (N, 2, 10, 10) N; pad 0 is left (+x); row 0 at +y, column 0 at +x. Their sum is the total force.
-        approach: (N,) m, common approach of the end effector; NaN if both pads miss.
-        touching: (N,) whether a ridge touches a pad.
-    """
-
-    taxels: Array
-    approach: Array
-    touching: Mask
-
-
 class ContactModel:
     """Contact of ridge and pad for a family of rigs; immutable, so threads may share it."""
 
@@ -80,7 +65,7 @@ class ContactModel:
         force: ArrayLike,
         tilt: ArrayLike = (0.0, 0.0),
         waviness: Waviness | None = None,
-    ) -> Contact:
+    ) -> Array:
         """Compute the readings of the pressed pads.
 
         Args:
@@ -90,33 +75,32 @@ class ContactModel:
             waviness: ridges of the rig; None = perfectly straight.
 
         Returns:
-            Contact of N frames.
+            (N, 2, 10, 10) N; pad 0 is left (+x); row 0 at +y, column 0 at +x. Their sum is the total force, or 0 if
+            both pads miss the ridges.
         """
         poses = np.atleast_2d(np.asarray(pose, dtype=float))
         count = len(poses)
         forces = np.broadcast_to(np.asarray(force, dtype=float), (count,))
         tilts = np.broadcast_to(np.asarray(tilt, dtype=float), (count, 2))
         taxels = np.zeros((count, PADS, ROWS, COLUMNS))
-        approach = np.full(count, np.nan)
         for start in range(0, count, _CHUNK):
             part = slice(start, start + _CHUNK)
-            taxels[part], approach[part] = self._press(poses[part], forces[part], tilts[part], waviness)
-        return Contact(taxels, approach, np.isfinite(approach))
+            taxels[part] = self._press(poses[part], forces[part], tilts[part], waviness)
+        return taxels
 
-    def _press(self, pose: Array, force: Array, tilt: Array, waviness: Waviness | None) -> tuple[Array, Array]:
+    def _press(self, pose: Array, force: Array, tilt: Array, waviness: Waviness | None) -> Array:
         count = len(pose)
         height = self._height(pose, tilt, waviness)
         highest = height.max(axis=1)
         pressed = (highest > -0.5 * _MISSED) & (force > 0.0)
-        approach = np.full(count, np.nan)
         taxels = np.zeros((count, PADS, ROWS, COLUMNS))
         if pressed.any():
             chosen = height if pressed.all() else height[pressed]
-            depth, approach[pressed] = self._carry(chosen, highest[pressed], force[pressed])
+            depth = self._carry(chosen, highest[pressed], force[pressed])
             load = self._unit * depth * (1.0 + depth / self.parameters.hardening)
             spread = load.reshape(-1, load.shape[1] // PADS) @ self._pooling.T
             taxels[pressed] = spread.reshape(-1, PADS, ROWS, COLUMNS)
-        return taxels, approach
+        return taxels
 
     def _height(self, pose: Array, tilt: Array, waviness: Waviness | None) -> Array:
         """(N, 1800) how far the ridge stands out toward each point of both pads, m."""
@@ -146,8 +130,11 @@ class ContactModel:
             gap += (qx * qx + qy * qy < 0.25 * p.hole * p.hole) * _MISSED
         return np.asarray(gap)
 
-    def _carry(self, height: Array, highest: Array, force: Array) -> tuple[Array, Array]:
-        """Find the approach by Newton's method: the force is convex in it, so steps from above never overshoot."""
+    def _carry(self, height: Array, highest: Array, force: Array) -> Array:
+        """Return the indentations. The approach is found by Newton's method.
+
+        The force is convex in it, so steps from above never overshoot.
+        """
         hardening = self.parameters.hardening
         target = force / self._unit
         approach = 3e-4 - highest
@@ -160,7 +147,7 @@ class ContactModel:
             approach = np.maximum(approach - step, 1e-9 - highest)
             if np.all(np.abs(step) <= 1e-13):
                 break
-        return np.maximum(approach[:, None] + height, 0.0), approach
+        return np.maximum(approach[:, None] + height, 0.0)
 
 
 def _sample_points(parameters: PadContactParameters) -> tuple[Array, Array]:

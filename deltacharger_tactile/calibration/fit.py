@@ -360,7 +360,7 @@ def _gains(frames: Array, pose: Array, threshold: float) -> tuple[Array, float]:
     tilt = pose[:, 1::-1] * [docking.tilt_per_y, docking.tilt_per_x]
     live = np.isfinite(frames)
     readings = np.where(live, frames, 0.0)
-    model = ContactModel().solve(pose, readings.sum(axis=(1, 2, 3)), tilt).taxels * live
+    model = ContactModel().solve(pose, readings.sum(axis=(1, 2, 3)), tilt) * live
     gain = np.ones(SHAPE)
     for _ in range(_ROUNDS):
         expected = _loaded(model, readings, gain)

@@ -169,14 +169,12 @@ class Pair:
         along: (2, 2) px, from the centre of each bar to the middle of its end at +x.
         across: (2, 2) px, from the centre of each bar to the middle of its side at +y.
         doubt: deviation from a terminal seen from the front; the smallest is tried first.
-        cut: whether both outlines end where the visible pieces end, which need not be ends of bars.
     """
 
     centre: Array
     along: Array
     across: Array
     doubt: float
-    cut: bool = False
 
 
 def find_pairs(blobs: Blobs, terminal: Terminal) -> list[Pair]:
@@ -268,7 +266,7 @@ def _cut(pieces: Blobs, first: int, second: int, terminal: Terminal) -> Pair | N
     centre = np.stack([middle, middle + spacing * across])[:: 1 if spacing > 0.0 else -1]
     half = 0.5 * (high - low) * direction
     doubt = 1.0 - 0.5 * seen / max(whole, high - low) + abs(np.log((high - low) / whole))
-    return Pair(centre, np.stack([half, half]), np.stack([0.5 * width * across] * 2), float(doubt), cut=True)
+    return Pair(centre, np.stack([half, half]), np.stack([0.5 * width * across] * 2), float(doubt))
 
 
 def _outline(blobs: Blobs, first: int, second: int, whole: bool, doubt: float) -> Pair:

@@ -131,7 +131,6 @@ class EdgePoints:
         model: (L, S, 3) m, in the terminal's frame.
         rays: (L, S, 2) x/z, y/z of the edge.
         seen: (L, S) whether the edge was found.
-        inside: (L, S) whether the place is inside the image.
         weight: (L,) independent samples per sample.
         missed: independent samples of the bars' sides without an edge in the image.
         saturated: share of places where the bar beside the edge is saturated.
@@ -142,7 +141,6 @@ class EdgePoints:
     model: Array
     rays: Array
     seen: Mask
-    inside: Mask
     weight: Array
     missed: float
     saturated: float
@@ -180,7 +178,7 @@ def find_edges(grey: NDArray[Any], lines: Lines, intrinsics: Intrinsics, window:
     blur = np.maximum(np.median(np.where(seen, ramp, 0.0), axis=1) - _SHARP, 0.0)
     # Sampled well inside the bar.
     saturated = float(np.mean(values[lines.outer, :, : steps // 2].max(axis=2) >= _SATURATED))
-    return EdgePoints(lines, model, found, seen, inside, weight, missed, saturated, blur)
+    return EdgePoints(lines, model, found, seen, weight, missed, saturated, blur)
 
 
 def _leave_inner(seen: Mask, inside: Mask, weight: Array, lines: Lines) -> float:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -40,28 +39,6 @@ class CameraParameters:
     occlusion: bool = True  # no depth where only one of the stereo cameras sees
     whole_millimetres: bool = True  # depth in steps of 1 mm, as in 16UC1
 
-    @property
-    def nearest(self) -> float:
-        """Smallest depth, m."""
-        return self.stereo_focal * self.baseline / self.disparities
-
-    @staticmethod
-    def ideal() -> CameraParameters:
-        """Return a camera without noise, blur and holes, and with continuous depth from `nearest` on."""
-        return CameraParameters(
-            shot_noise=0.0,
-            read_noise=0.0,
-            edge_width=1.0,
-            disparity_noise=0.0,
-            disparity_step=0.0,
-            fattening=0,
-            hole_metal=0.0,
-            hole_glare=0.0,
-            hole_matte=0.0,
-            occlusion=False,
-            whole_millimetres=False,
-        )
-
 
 @dataclass(frozen=True)
 class SceneParameters:
@@ -82,11 +59,6 @@ class SceneParameters:
     unevenness: float = 0.10  # relative range of slow changes of the light over the image
     wall: float = 0.30  # reflectance of the wall behind
     wall_distance: float = 0.8  # m, of the wall behind the touched faces, parallel to them
-
-    @staticmethod
-    def even() -> SceneParameters:
-        """Return a scene of uniform surfaces: no highlight, streaks, reflections or changes of the light."""
-        return dataclasses.replace(SceneParameters(), highlight=0.0, streaks=0.0, mirrored=0.0, unevenness=0.0)
 
 
 Color = tuple[float, float, float]

@@ -21,8 +21,9 @@ from deltacharger_vision.rendering.scene_drawing import draw_scene
 from deltacharger_vision.terminal import UPPER, Terminal
 from test.marks import rest
 from test.vision.views import EVEN, FACES, VIEWS, cover, edge_errors, linear, shown, view
+from test.vision.views import IDEAL as EXACT
 
-IDEAL = dataclasses.replace(CameraParameters.ideal(), disparities=1e4)
+IDEAL = dataclasses.replace(EXACT, disparities=1e4)
 """Sees depth at any distance."""
 OTHER = Intrinsics(500, 380, 310.0, 352.0, 221.4, 208.3)
 """Neither square pixels nor a principal point in the middle."""

@@ -245,7 +245,7 @@ def test_a_data_set_has_the_first_poses_and_new_readings(count: int) -> None:
 
 
 def test_it_has_the_laws_of_the_first_physics(arm: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    batch_equals_its_single_contacts(lambda pose: MODEL.solve(pose, 60.0, ridges=RIDGES), 1e-3)
+    batch_equals_its_single_contacts(lambda pose: MODEL.solve(pose, 60.0, ridges=RIDGES).taxels, 1e-3)
     assert not MODEL.solve((0.0, 0.05, 0.0), 60.0).taxels.any()
     assert not MODEL.solve((0.0, 0.0, 0.0), 0.0).taxels.any()
     seeds_determine_readings_and_force_is_read_only_in_contact(SecondSource, 5.0)

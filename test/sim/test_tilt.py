@@ -153,7 +153,7 @@ def test_the_pads_moment_agrees_with_the_tactile_contact_model(force: float) -> 
     distance = model.parameters.pad_distance
     assert distance == PAD
     for residual in (1e-4, 3e-3, 0.05):
-        left, right = model.solve((0.0, 0.0, 0.0), force, (0.0, residual)).taxels[0].sum(axis=(1, 2))
+        left, right = model.solve((0.0, 0.0, 0.0), force, (0.0, residual))[0].sum(axis=(1, 2))
         expected = min(turn * residual, force * PAD)
         assert distance * (left - right) == pytest.approx(expected, rel=0.12)
 

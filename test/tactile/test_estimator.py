@@ -75,13 +75,13 @@ def test_signs_by_the_contact_model_alone() -> None:
     contact = ContactModel()
     for pose in ((0.0, 0.004, 0.0), (0.0, -0.004, 0.0), (0.0, 0.0, 0.1), (0.0, 0.0, -0.1), (0.002, 0.003, -0.08)):
         tilt = (math.radians(7.0) * pose[1], math.radians(10.0) * pose[0])
-        pads = contact.solve(pose, 70.0, tilt).taxels[0]
+        pads = contact.solve(pose, 70.0, tilt)[0]
         estimate = MODEL.predict(pads[0], pads[1])
         assert estimate.in_range is True
         assert abs(estimate.vertical - pose[1]) < 0.4e-3
         assert abs(estimate.angle - pose[2]) < math.radians(0.4)
     for x in (-0.006, 0.006):
-        pads = contact.solve((x, 0.0, 0.0), 55.0, (0.0, math.radians(10.0) * x)).taxels[0]
+        pads = contact.solve((x, 0.0, 0.0), 55.0, (0.0, math.radians(10.0) * x))[0]
         assert np.sign(x) * MODEL.predict(*pads).horizontal > 0.003
 
 

@@ -15,18 +15,18 @@ from deltacharger_vision.hand_eye.board import Board, dictionary
 from deltacharger_vision.images import project
 from deltacharger_vision.rendering.board_drawing import board_svg, with_board
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
-from deltacharger_vision.rendering.scene import CameraParameters, RenderedScene, SceneParameters, shifted
+from deltacharger_vision.rendering.scene import CameraParameters, RenderedScene, shifted
 from deltacharger_vision.terminal import turn
 
 from ..marks import rest
-from .views import DISTORTIONS, view
+from .views import DISTORTIONS, EVEN, IDEAL, view
 
 cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
 UPRIGHT = shifted((0.0, 0.0, 0.2)) @ np.diag([1.0, -1.0, -1.0, 1.0])
-IDEAL, USUAL = SimulatedCamera(parameters=CameraParameters.ideal()), SimulatedCamera()
+EXACT, USUAL = SimulatedCamera(parameters=IDEAL), SimulatedCamera()
 DARK, BRIGHT = (SimulatedCamera(parameters=CameraParameters(exposure=each)) for each in (0.3, 2.5))
-BACKGROUND = RenderedScene(target=False, parameters=SceneParameters.even())
+BACKGROUND = RenderedScene(target=False, parameters=EVEN)
 
 
 def drawn_pose(seed: int) -> np.ndarray:
@@ -55,7 +55,7 @@ def rms(board: Board, count: int, camera: SimulatedCamera) -> float:
 
 @pytest.mark.parametrize(("board", "count"), [(Board(), 3), rest(Board(), 8), rest(Board("25h9", 3, 0.03), 8)])
 def test_corners_are_found_to_a_small_part_of_a_pixel(board: Board, count: int) -> None:
-    assert rms(board, count, IDEAL) < 0.05
+    assert rms(board, count, EXACT) < 0.05
     assert rms(board, count, USUAL) < 0.05
 
 
@@ -63,7 +63,7 @@ def test_neither_a_lens_nor_exposure_displaces_corners_except_an_over_exposed_wh
     board = Board()
     for distortion in DISTORTIONS[1:]:
         lens = dataclasses.replace(OAK_D, distortion=distortion)
-        assert rms(board, 1, SimulatedCamera(lens, CameraParameters.ideal())) < 0.12
+        assert rms(board, 1, SimulatedCamera(lens, IDEAL)) < 0.12
     assert rms(board, 2, DARK) < 0.10
     assert rms(board, 3, BRIGHT) > 0.15
     usual, bright = (board.detect(image(board, drawn_pose(0), camera)) for camera in (USUAL, BRIGHT))

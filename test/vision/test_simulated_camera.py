@@ -15,9 +15,10 @@ from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
 from deltacharger_vision.rendering.scene import Box, CameraParameters, RenderedScene, shifted
 from deltacharger_vision.rendering.scene_drawing import charger_parts
 
-from .views import DISTORTIONS, EVEN, FACES, VIEWS, edge_errors, linear, view
+from .views import DISTORTIONS, EVEN, FACES, IDEAL, VIEWS, edge_errors, linear, view
 
-IDEAL, DEFAULT = CameraParameters.ideal(), CameraParameters()
+DEFAULT = CameraParameters()
+NEAREST = DEFAULT.stereo_focal * DEFAULT.baseline / DEFAULT.disparities
 PER_INVERSE = DEFAULT.stereo_focal * DEFAULT.baseline
 WALL, FLAT = RenderedScene(parameters=EVEN, target=False), RenderedScene(parameters=EVEN)
 
@@ -95,8 +96,8 @@ def test_depth_noise_grows_with_the_square_of_the_distance() -> None:
 
 
 def test_nothing_outside_the_stereo_range_has_depth() -> None:
-    assert pytest.approx(0.174, abs=1e-3) == DEFAULT.nearest
-    near, far = view(DEFAULT.nearest - 0.008), view(DEFAULT.nearest + 0.002)
+    assert pytest.approx(0.174, abs=1e-3) == NEAREST
+    near, far = view(NEAREST - 0.008), view(NEAREST + 0.002)
     for noise in (0.0, 5.0):
         assert np.isnan(taken(FLAT, near, disparity_noise=noise).depth[metal(near)]).all()
     assert np.isfinite(taken(FLAT, far).depth[metal(far)]).all()

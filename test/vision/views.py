@@ -8,10 +8,16 @@ import dataclasses
 import numpy as np
 
 from deltacharger_vision.images import Intrinsics, RgbdImage, distort
-from deltacharger_vision.rendering.scene import Box, RenderedScene, SceneParameters, shifted
+from deltacharger_vision.rendering.scene import Box, CameraParameters, RenderedScene, SceneParameters, shifted
 from deltacharger_vision.terminal import UPPER, Terminal
 
-EVEN = SceneParameters.even()
+EVEN = dataclasses.replace(SceneParameters(), highlight=0.0, streaks=0.0, mirrored=0.0, unevenness=0.0)
+"""Uniform surfaces: no highlight, streaks, reflections or changes of the light."""
+IDEAL = CameraParameters(
+    shot_noise=0.0, read_noise=0.0, edge_width=1.0, disparity_noise=0.0, disparity_step=0.0, fattening=0,
+    hole_metal=0.0, hole_glare=0.0, hole_matte=0.0, occlusion=False, whole_millimetres=False,
+)  # fmt: skip
+"""No noise, blur and holes, and continuous depth."""
 # Light from straight ahead alone leaves the bars' sides black: only the touched faces are bright.
 FACES = RenderedScene(parameters=dataclasses.replace(EVEN, ambient=0.0, diffuse=0.9), light=(0.0, 0.0, -1.0))
 DISTORTIONS = ((), (-0.30, 0.12, 0.001, -0.0005, -0.02), (6.5, -3.1, 0.0004, -0.0003, 0.9, 6.7, -2.4, 0.6))

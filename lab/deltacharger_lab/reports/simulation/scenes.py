@@ -177,7 +177,7 @@ def left_share(world: World) -> float:
     if pose is None or not all(map(math.isfinite, pose)):
         return math.nan
     tilt = (0.0, 0.0) if mechanics.lean is None else approach(mechanics.lean.residual)
-    left, right = _contact_model().solve(pose, mechanics.contact_force, tilt).taxels[0].sum(axis=(1, 2))
+    left, right = _contact_model().solve(pose, mechanics.contact_force, tilt)[0].sum(axis=(1, 2))
     return float(left / (left + right))
 
 
