@@ -19,6 +19,7 @@ from deltacharger_docking.context import SERVICE_TIMEOUT, Context
 from deltacharger_docking.energy import check_battery, de_energise, prove_dead, wait_for_single_sources
 from deltacharger_docking.goals import check_place, in_words
 from deltacharger_docking.observation import ElectrodePose, Service
+from deltacharger_docking.place import TargetPlace
 from deltacharger_docking.press import Look, contact, ease, move_aside
 from deltacharger_docking.release import lift_off
 from deltacharger_docking.standoff import APPROACH_TIMEOUT, approach
@@ -49,7 +50,7 @@ def dock(context: Context, target: Target, given: ElectrodePose | None, charges:
     context.electrodes = electrodes = given or (yield from locate(context))  # 1
     check_roll(context, electrodes, target.critical_angle)
     check_lean(context, electrodes)
-    target.foresee(electrodes)
+    target.place = TargetPlace(parameters, context.share, electrodes)
     yield from prepare(context)
     yield from prove_dead(context)
     if charges and not parameters.always_live:

@@ -285,7 +285,7 @@ def clearance_checks(context: Context, order: Order, target: Target) -> Script[N
                 raise _blind(reply, blind)
             continue
         blind = 0
-        context.status.estimate = target.combined_later(estimate)
+        context.status.estimate = target.place.combined(estimate, later=True)
         keep_evidence(context, estimate)
         lost = not judge(estimate, parameters, order.critical_angle).leaves_clearance
         unsafe = unsafe + 1 if lost else 0

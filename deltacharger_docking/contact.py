@@ -174,11 +174,11 @@ _NOISE = 0.3  # share that one frame may change in any case; noise changed 0.18 
 
 
 class Evidence:
-    """Place of the platform and pattern of the pads during the last measurement."""
+    """Place of the platform (m, None = no measurement) and pattern of the pads during the last measurement."""
 
     def __init__(self) -> None:
         self._frames: list[Array] | None = None  # of the measurement under way
-        self._place: Vector | None = None
+        self.place: Vector | None = None
         self._allowed = _NOISE
         self._pattern: Array | None = None
         self._last: Array | None = None  # frame whose change is known
@@ -186,12 +186,7 @@ class Evidence:
 
     def forget(self) -> None:
         """Forget the last measurement: the arm moves."""
-        self._frames = self._place = self._pattern = self._last = None
-
-    @property
-    def is_kept(self) -> bool:
-        """Whether there is a measurement."""
-        return self._place is not None
+        self._frames = self.place = self._pattern = self._last = None
 
     def begin(self) -> None:
         """Begin a measurement: the frames that follow belong to it. The last one counts until it ends."""
@@ -207,7 +202,7 @@ class Evidence:
         self._allowed = max(min(_PATTERN * margin, _LARGEST), _NOISE)
         pattern = np.nan_to_num(np.mean(self._frames, axis=0)) if self._frames else np.zeros(1)
         self._pattern = pattern if pattern.sum() > 0.0 else None
-        self._frames, self._place = None, position
+        self._frames, self.place = None, position
 
     def lost(self, parameters: DockingParameters, position: Vector, current: float, seen: Observation) -> str:
         """Return why the measurement no longer holds; '' = it does, or there is none.
@@ -218,9 +213,9 @@ class Evidence:
             current: contact current, A; the largest that its noise allows.
             seen: the present observation.
         """
-        if self._place is None or seen.oldest > PRESS_AGE_MAX:
+        if self.place is None or seen.oldest > PRESS_AGE_MAX:
             return ""
-        x, y, z = (now - then for now, then in zip(position, self._place, strict=True))
+        x, y, z = (now - then for now, then in zip(position, self.place, strict=True))
         if (aside := math.hypot(x, y)) > _ASIDE:
             return f"the electrodes moved sideways by {1000 * aside:.1f} mm"
         if abs(z) > _CONTACT_LOST_RETREAT:

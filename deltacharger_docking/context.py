@@ -148,10 +148,6 @@ class Context:
         self._requests: list[Request] = []
         self._decisions: list[Decision] = []
 
-    def use_parameters(self, parameters: DockingParameters) -> None:
-        """Use other parameters; those that describe the machine must be unchanged."""
-        self.parameters = self.planner.parameters = parameters
-
     def choose_profile(self, name: str) -> None:
         """Use the profile of this name; '' = the first. Without profiles, or a power stage, there is none."""
         known = {} if self.parameters.always_live else self.profiles
@@ -292,7 +288,7 @@ class Context:
     @property
     def evidence_lost(self) -> str:
         """Why the last measurement no longer holds; '' = it does."""
-        if not self.evidence.is_kept:
+        if self.evidence.place is None:
             return ""
         largest = self.contact.value + self.contact.currents_error
         return self.evidence.lost(self.parameters, self.position, largest, self.observation)

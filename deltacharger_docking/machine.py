@@ -150,7 +150,7 @@ class DockingMachine:
             return "the electrodes rest on the target under supervision; undock first"
         if self.is_open or self._runner.is_running:
             return f"a goal is running: {self._activity()}"
-        self._context.use_parameters(parameters)
+        self._context.parameters = self._context.planner.parameters = parameters
         return ""
 
     def start(self, script: Callable[[Context], Script[str]], observation: Observation) -> None:

@@ -22,7 +22,7 @@ from deltacharger_docking.clearance import (
 from deltacharger_docking.codes import State
 from deltacharger_docking.context import SERVICE_TIMEOUT, Context
 from deltacharger_docking.goals import in_words
-from deltacharger_docking.observation import ElectrodePose, Service
+from deltacharger_docking.observation import Service
 from deltacharger_docking.place import TargetPlace
 from deltacharger_docking.release import LIFT
 
@@ -138,19 +138,16 @@ class Target:
     Attributes:
         critical_angle: limit of the goal, rad.
         depth: largest z (m, charger_base) at which contact is searched.
+        place: where it is, by all contacts on it.
     """
 
     def __init__(self, context: Context, critical_angle: float) -> None:
         self._context = context
         self.critical_angle = critical_angle
         self.depth = math.inf
-        self._place = TargetPlace(context.parameters, context.share)
+        self.place = TargetPlace(context.parameters, context.share)
         self._estimated_here = False  # this contact has been used
         self.begin()
-
-    def foresee(self, electrodes: ElectrodePose) -> None:
-        """Set the electrodes' place and lean as detected or given before the first contact."""
-        self._place = TargetPlace(self._context.parameters, self._context.share, electrodes)
 
     def begin(self) -> None:
         """Reset what earlier goals counted; the target's place stays known."""
@@ -178,40 +175,36 @@ class Target:
         self._unsure_here = 0
         x, y, _ = context.position
         push = sum(context.springs.true_force(context.contact.force)) / 2.0  # gears take a share of what currents tell
-        self._place.add(estimate, x, y, push, context.drawn, self._draw_share, self._estimated_here)
+        self.place.add(estimate, x, y, push, context.drawn, self._draw_share, self._estimated_here)
         self._estimated_here = True
-        context.status.estimate = self._place.combined(estimate)
-        if self._place.contradicts_itself and not stay:
+        context.status.estimate = self.place.combined(estimate)
+        if self.place.contradicts_itself and not stay:
             context.decide("contradiction", "the estimates contradict the arm's own moves", x_m=estimate.horizontal)
             cure = "check whether frames repeat, the target moves, or magnet_force is wrong"
             raise codes.EstimateUnsure(f"the pads' estimates contradict the arm's own moves; {cure}")
         verdict = self._judge(estimate)
         safe = verdict is Verdict.SAFE or (verdict is Verdict.PROBABLY_SAFE and self._passed >= _CLEARANCE_CONTACTS)
-        self._place.choose(self._moves, self._reaches)
-        context.status.aligned = safe and not self._pays and self._place.risk <= _ALIGNED_RISK_MAX
+        self.place.choose(self._moves, self._reaches)
+        context.status.aligned = safe and not self._pays and self.place.risk <= _ALIGNED_RISK_MAX
         settled = stay or not self._pays or self._exhausted
         if stay and not safe:  # the target has moved, so earlier contacts no longer count
-            self._place = TargetPlace(parameters, context.share)
-            self._place.add(estimate, x, y, push)
-            self._place.choose(self._moves, self._reaches)
+            self.place = TargetPlace(parameters, context.share)
+            self.place.add(estimate, x, y, push)
+            self.place.choose(self._moves, self._reaches)
         return settled and safe
 
     def still_allows_rest(self, estimate: MisalignmentEstimate) -> bool:
         """Use the estimate made with the arm at ease; return whether clearance remains."""
         if estimate.usable and judge(estimate, self._context.parameters, self.critical_angle).leaves_clearance:
-            self._context.status.estimate = self._place.settle(estimate)
+            self._context.status.estimate = self.place.settle(estimate)
             return True
         self._passed, self._context.status.aligned = 0, False
         return False
 
-    def combined_later(self, estimate: MisalignmentEstimate) -> MisalignmentEstimate:
-        """Return an estimate made while the electrodes rest, combined with all contacts."""
-        return self._place.combined(estimate, later=True)
-
     def rest(self) -> None:
         """Record that the electrodes rest here."""
-        self._place.learn()
-        aligned, (x, y) = self._context.status.aligned, self._place.off
+        self.place.learn()
+        aligned, (x, y) = self._context.status.aligned, self.place.off
         text = "no gain is expected from another contact" if aligned else "the electrodes have clearance here"
         self._context.decide("aligned" if aligned else "exhausted", text, x_m=x, y_m=y)
 
@@ -227,8 +220,8 @@ class Target:
         context, self._estimated_here = self._context, False
         if self._estimate is not None and not self._estimate.usable:
             return self._look_elsewhere(self._estimate)
-        aside = self._place.plan.aside if self._pays else 0.0
-        (x, y), risk = self._place.step(aside), self._place.risk
+        aside = self.place.plan.aside if self._pays else 0.0
+        (x, y), risk = self.place.step(aside), self.place.risk
         if self._exhausted:
             context.decide("exhausted", "no correction is left", x_m=x, y_m=y, moves=self._moves)
             raise codes.Misaligned(
@@ -256,7 +249,7 @@ class Target:
 
     @property
     def _pays(self) -> bool:
-        return self._place.plan.gain > 0.0
+        return self.place.plan.gain > 0.0
 
     def _reaches(self, x: float, y: float) -> bool:
         """Return whether the platform reaches a contact at this offset (m), and the place before it."""
@@ -297,14 +290,14 @@ class Target:
         self._unsure_here += 1
         self._unsure += 1
         place = context.position
-        yaw = self._place.least_yaw(estimate, place[0], context.contact.force)
+        yaw = self.place.least_yaw(estimate, place[0], context.contact.force)
         if math.isfinite(yaw):
             if self._unsure_here >= _UNSURE_HERE_MAX:
                 raise self._leaning(estimate, yaw)
             context.status.redockings += 1
             context.decide("again", "one pad carries nearly all the force: the contact is repeated", yaw_rad=yaw)
             return 0.0, 0.0
-        x, y = self._place.pointed_at(estimate, place[0])
+        x, y = self.place.pointed_at(estimate, place[0])
         lost = estimate.complete and math.hypot(x, y) > _UNSURE_MOVE_MIN
         reachable = lost and not context.planner.reach_problem((place[0] + x, place[1] + y, place[2]))
         if reachable and self._unsure < _UNSURE_MAX:

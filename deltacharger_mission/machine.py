@@ -16,7 +16,7 @@ from deltacharger_core.script import NEXT, Calls, Runner, Script
 from deltacharger_docking import codes
 from deltacharger_docking.codes import Code, DockingError
 from deltacharger_docking.goals import check_id, check_stops
-from deltacharger_docking.observation import BasePose, ElectrodePose
+from deltacharger_docking.observation import ElectrodePose
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_mission.dialogue import (
     End,
@@ -248,7 +248,8 @@ class MissionMachine:
                     return f"charged: {reply.message}" if reply.message else "charged"
                 if reply.code not in _MENDED_BY_A_MOVE or reply.suggested is None:
                     raise _dock_failure(reply)
-                electrodes = self._suggested(reply.suggested, electrodes)
+                base = reply.suggested
+                electrodes = self._on_ground(base.electrodes, (base.yaw, 0.0) if base.yaw else None, electrodes)
                 # Another pose would not help: only the height is wrong, the turn is too small, or all moves are used.
                 better = self._better(electrodes, GAIN_MIN, GAIN_TURN_MIN)
                 if better is None:
@@ -284,10 +285,6 @@ class MissionMachine:
         sure = math.isfinite(seen.yaw) and seen.yaw_stddev <= FACING_STDDEV_MAX
         lean = (seen.yaw, seen.pitch if math.isfinite(seen.pitch) else 0.0) if sure else None
         return self._on_ground(seen.position, lean, electrodes)
-
-    def _suggested(self, base: BasePose, electrodes: Place | None) -> Place | None:
-        """Return the electrodes on the ground that charger_base would face squarely from a suggested pose."""
-        return self._on_ground(base.electrodes, (base.yaw, 0.0) if base.yaw else None, electrodes)
 
     def _on_ground(self, point: Vector, lean: tuple[float, float] | None, given: Place | None) -> Place | None:
         """Return electrodes at `point` (m, charger_base); they face as their lean (rad) shows, without one as given."""

@@ -338,7 +338,7 @@ class DockingNode(Node):
                 start(order, seen)
                 self._goal = goal
                 self._torque_off_at = math.inf
-                self._reports.begin(titled(name, request.request_id), _as_text(order))
+                self._reports.phases.begin(titled(name, request.request_id), _as_text(order))
                 self._reports.show(self._machine.status)
                 self._hand_over()
             except DockingError:

@@ -77,7 +77,9 @@ class Heard:
             return
         instant = self._host.now()
         try:
-            stamp = stamp_seconds(message.header.stamp)
+            if message.header.stamp.sec < 0 or message.header.stamp.nanosec >= 1_000_000_000:
+                raise MessageRefused(f"its stamp is invalid: {message.header.stamp}")
+            stamp = seconds(message.header.stamp)
             old = self._age(kind, stamp)
             before, sampled = self._latest_sampled.get(kind, (-math.inf, -math.inf))
             if stamp < before and instant - old < sampled:
@@ -280,14 +282,3 @@ class FrameCheck:
 
 class MessageRefused(Exception):
     """A message is refused. Example: its stamp lies in the future."""
-
-
-def stamp_seconds(stamp: Any) -> float:
-    """Return a stamp in s.
-
-    Raises:
-        MessageRefused: the stamp is invalid.
-    """
-    if stamp.sec < 0 or stamp.nanosec >= 1_000_000_000:
-        raise MessageRefused(f"its stamp is invalid: {stamp.sec} s and {stamp.nanosec} ns")
-    return seconds(stamp)

@@ -7,7 +7,9 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from enum import IntEnum
 from itertools import pairwise
+from typing import Any
 
 from deltacharger.msg import DockingDecision, DockingState
 from rclpy.node import Node
@@ -45,17 +47,19 @@ class Reports:
         self._state = node.create_publisher(DockingState, "docking_state", latched)
         self._decision = node.create_publisher(DockingDecision, "docking_decision", QoSProfile(depth=_DECISIONS))
         self._diagnostics = Diagnostics(node)
-        self._log, self._phases = log, PhaseLog()
+        self._log, self.phases = log, PhaseLog(log, State.IDLE)
+        self._closed, self._closed_since = False, math.nan
 
-    def begin(self, title: str, wish: str) -> None:
-        """Log that a goal was accepted, with its request as text."""
-        self._phases.begin(title)
-        self._log.info(f"{title}: accepted{wish and f', {wish}'}")
-
-    def log(self, status: DockingStatus, passed: Sequence[State], observation: Observation) -> None:
-        """Log changes: phases, failures, the contactor; a lost charge as a warning."""
-        for line in self._phases.lines(status, passed, observation):
-            (self._log.warning if line == self._phases.lost else self._log.info)(line)
+    def log(self, status: DockingStatus, passed: Sequence[State], seen: Observation) -> None:
+        """Log changes: phases, failures, the contactor."""
+        if seen.contactor_closed and not self._closed:
+            self._closed_since = seen.time
+            self._log.info(f"contactor closed, target {figure(seen.target_voltage, 'V', 1)}")
+        elif self._closed and not seen.contactor_closed:
+            self._log.info(f"contactor open, it was closed for {seen.time - self._closed_since:.1f} s")
+        self._closed = seen.contactor_closed
+        entered = changes(State(self.phases.phase), passed, status.state)
+        self.phases.show(status, entered, seen.time, *(_figures(status, seen) if entered else ()))
 
     def show(self, status: DockingStatus, passed: Sequence[State] = (), force: bool = False) -> None:
         """Publish docking_state if it changed, once for each state passed through since the last call."""
@@ -140,76 +144,36 @@ def _key(status: DockingStatus) -> tuple[object, ...]:
     return *values, status.duplicate_sources
 
 
-_WANTED = (Code.NONE, Code.CANCELED)
-
-
 def changes(before: State, passed: Sequence[State], now: State) -> list[State]:
     """Return the states to report after `before`: those passed through within one tick, then the present one."""
     return [state for last, state in pairwise((before, *passed, now)) if state is not last]
 
 
 class PhaseLog:
-    """Turns changes of the machine into log lines: one for each phase, each failure, each switching of the contactor.
-
-    Every line begins with the title of the last goal. Later events, such as the end of charging, belong to that goal.
+    """Logs each phase that a machine enters, and each failure as a warning, under the title of the last goal.
 
     Attributes:
-        lost: which of the last lines tells that a failure has ended charging, or the rest on a target; '' = none.
+        phase: the last one logged; how long the first of all phases lasts is not told.
     """
 
-    def __init__(self) -> None:
-        self._title, self.lost = "docking", ""
-        self._state, self._since = State.IDLE, math.nan
-        self._code = Code.NONE
-        self._closed, self._closed_since = False, math.nan
+    def __init__(self, log: Log, phase: IntEnum) -> None:
+        self._log, self._title = log, ""
+        self.phase, self._since, self._code = phase, math.nan, Code.NONE
 
-    def begin(self, title: str) -> None:
-        """Set the title of a goal that begins."""
+    def begin(self, title: str, wish: str = "") -> None:
+        """Log that a goal was accepted, with its request as text."""
         self._title, self._code = title, Code.NONE
+        self._log.info(f"{title}: accepted{wish and f', {wish}'}")
 
-    def lines(self, status: DockingStatus, passed: Sequence[State], seen: Observation) -> list[str]:
-        """Return the lines for what changed.
-
-        Args:
-            status: of the machine.
-            passed: states entered since the last call, in their order.
-            seen: the observation that the machine was stepped with.
-        """
-        lines, self.lost = [], ""
-        if seen.contactor_closed is not self._closed:
-            lines.append(self._switched(seen))
-        if passed or status.state is not self._state or status.code is not self._code:
-            lines += self._passages(status, changes(self._state, passed, status.state), seen)
-        return lines
-
-    def _switched(self, seen: Observation) -> str:
-        self._closed = seen.contactor_closed
-        if self._closed:
-            self._closed_since = seen.time
-            return f"{self._title}: contactor closed, target {figure(seen.target_voltage, 'V', 1)}"
-        return f"{self._title}: contactor open, it was closed for {seen.time - self._closed_since:.1f} s"
-
-    def _passages(self, status: DockingStatus, entered: Sequence[State], seen: Observation) -> list[str]:
-        news = self._news(status)
-        back = entered.index(State.RETRACT) if State.RETRACT in entered else len(entered) - 1  # a failure leads there
-        lines = []
-        for index, state in enumerate(entered):
-            lasted = math.nan if self._state is State.IDLE else seen.time - self._since
-            about = news if index == back else []
-            lines.append(passage(self._title, self._state.name, state.name, lasted, *about, *_figures(status, seen)))
-            rested = status.docked and self._state in (State.CHARGING, State.IDLE)
-            self.lost = lines[-1] if about and rested and status.code not in _WANTED else self.lost
-            self._state, self._since = state, seen.time
-        if news and not entered:
-            lines.append(f"{self._title}: {self._state.name.lower()}, {news[0]}")
-        return lines
-
-    def _news(self, status: DockingStatus) -> list[str]:
-        """Return the message that a code was set or cleared."""
-        before, self._code = self._code, status.code
-        if status.code is before:
-            return []
-        return [f"{int(status.code)} {status.code.name}: {status.message}"] if status.code else ["docking again"]
+    def show(self, status: Any, entered: Sequence[IntEnum], now: float, *figures: str) -> None:
+        """Log the phases entered since the last call, with figures at `now` (s), and a new failure."""
+        for phase in entered:
+            self._log.info(passage(self._title, self.phase.name, phase.name, now - self._since, *figures))
+            self.phase, self._since = phase, now if phase else math.nan
+        failed, self._code = status.code and status.code is not self._code, status.code
+        if failed:
+            tell = self._log.info if status.code is Code.CANCELED else self._log.warning
+            tell(f"{self._title}: {int(status.code)} {status.code.name}: {status.message}")
 
 
 def _figures(status: DockingStatus, seen: Observation) -> list[str]:

@@ -20,9 +20,10 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 
 from deltacharger_core.frames import END_EFFECTOR, LONGEST, TransformParameters
-from deltacharger_core.texts import passage, quantity, titled
-from deltacharger_docking.codes import Busy, Canceled, Code, DockingError, Rejected
+from deltacharger_core.texts import quantity, titled
+from deltacharger_docking.codes import Busy, Canceled, DockingError, Rejected
 from deltacharger_docking.ros.messages import MEASURED, refusal
+from deltacharger_docking.ros.reports import PhaseLog
 from deltacharger_mission.dialogue import MissionOutcome, MissionStatus, Stage
 from deltacharger_mission.machine import MissionMachine
 from deltacharger_mission.parameters import MissionParameters
@@ -62,36 +63,14 @@ def load_navigation(name: str) -> Any:
     return NavigateToPose
 
 
-class StageLog:
-    """Turns changes of the machine into log lines: one for each stage and each failure of the mission `title`."""
-
-    def __init__(self, title: str) -> None:
-        self._title = title
-        self._stage, self._entered = Stage.WAIT, 0.0
-        self._code = Code.NONE
-
-    def lines(self, status: MissionStatus) -> list[str]:
-        """Return the lines for what changed."""
-        failed = status.code and status.code is not self._code
-        self._code = status.code
-        news = [f"{int(status.code)} {status.code.name}: {status.message}"] if failed else []
-        if status.stage is self._stage:
-            return [f"{self._title}: {status.stage.name.lower()}, {news[0]}"] if news else []
-        lasted, counts = status.elapsed - self._entered, {"views": status.views, "moves": status.moves}
-        at = [] if status.place is None else [f"base at {status.place}"]
-        done = [f"{name} {count}" for name, count in counts.items() if count]
-        line = passage(self._title, self._stage.name, status.stage.name, lasted, *news, *at, *done)
-        self._stage, self._entered = status.stage, status.elapsed
-        return [line]
-
-
 class _Mission(Work):
     """The mission being served."""
 
-    def __init__(self, handle: GoalHandle, docked: Any) -> None:
+    def __init__(self, handle: GoalHandle, log: Log, docked: Any) -> None:
         super().__init__(handle)
         self.handle, self.docked = handle, docked  # the result of its last docking
-        self.log = StageLog(titled("charge_robot", handle.request.request_id))
+        self.log = PhaseLog(log, Stage.WAIT)
+        self.log.begin(titled("charge_robot", handle.request.request_id))
         self.is_canceled = False  # the machine knows it
 
 
@@ -185,8 +164,8 @@ class MissionNode(Node):
                 self._machine.cancel()
             if mission.is_due(status.stage, _FEEDBACK):
                 mission.feed_back(ChargeRobot.Feedback(stage=int(status.stage), elapsed=duration(status.elapsed)))
-            for line in mission.log.lines(status):
-                self._log.info(line)
+            entered = [] if status.stage is mission.log.phase else [status.stage]
+            mission.log.show(status, entered, status.elapsed, *(entered and _figures(status)))
         outcome, self._machine.outcome = self._machine.outcome, None
         if outcome is not None:
             self._end(outcome)
@@ -238,8 +217,7 @@ class MissionNode(Node):
                 self._others.carry_out(self._machine.emergency())
                 raise
             self._others.dock_result = self._unknown_dock()
-            self._mission = mission = _Mission(handle, self._others.dock_result)
-            self._log.info(f"{titled('charge_robot', goal.request_id)}: accepted")
+            self._mission = mission = _Mission(handle, self._log, self._others.dock_result)
             return mission
 
     def _unknown_dock(self) -> Any:
@@ -263,6 +241,11 @@ class MissionNode(Node):
             raise refusal(error) from error
         except ValueError as error:
             raise Rejected(f"charger_base on the robot, by tf: {error}") from error
+
+
+def _figures(status: MissionStatus) -> list[str]:
+    at = [] if status.place is None else [f"base at {status.place}"]
+    return at + [f"{name} {count}" for name, count in (("views", status.views), ("moves", status.moves)) if count]
 
 
 def _result(outcome: MissionOutcome, dock: Any) -> ChargeRobot.Result:

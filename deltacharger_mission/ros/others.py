@@ -45,7 +45,7 @@ from deltacharger_mission.dialogue import (
 from deltacharger_mission.parameters import MissionParameters
 from deltacharger_mission.places import Place
 from deltacharger_ros.action_caller import LOST, REFUSED, ActionCaller, OnEnd, result_of
-from deltacharger_ros.messages import duration, seconds, unknown_misalignment
+from deltacharger_ros.messages import duration, seconds, unknown
 from deltacharger_ros.qos import SERVICE
 
 _LOST_TIMEOUT = 5.0  # s that an action may have no server before its goal is lost
@@ -224,16 +224,10 @@ def read_state(message: Any) -> DockingReport | None:
 
 def unknown_dock(frame_id: str = END_EFFECTOR, energy: float = 0.0) -> Any:
     """Return the result of a docking of which none is known: measurements are NaN; J of earlier ones."""
-    return Dock.Result(
-        energy=energy,
-        misalignment=unknown_misalignment(frame_id),
-        contact_current=math.nan,
-        contact_force=math.nan,
-        contact_force_min=math.nan,
-        contact_force_max=math.nan,
-        charge_current=math.nan,
-        charge_voltage=math.nan,
-    )
+    result = unknown(Dock.Result())
+    result.misalignment.header.frame_id = frame_id
+    result.energy, result.suggested_base_pose = energy, PoseStamped()
+    return result
 
 
 def in_frame(message: PoseStamped, frame: str, there: Pose) -> PoseStamped:

@@ -473,7 +473,7 @@ def blinds(**changes: Any) -> bool:
 def looks(**changes: Any) -> bool:
     """Return whether the arm may press live electrodes (power: none) after this first estimate."""
     shared = scene()
-    shared.use_parameters(replace(PARAMETERS, power="none"))
+    shared.parameters = shared.planner.parameters = replace(PARAMETERS, power="none")
     script = touch.look(shared, touch.Target(shared, 12.0 * DEGREE))
     return answered(script, shared, estimate=estimate(**changes)) is None
 

@@ -208,7 +208,7 @@ def test_wrong_messages_on_a_topic_end_charging(charger: RunningCharger, monkeyp
     assert CODES[charger.state.error_code] == "SERVO_STALE"
     assert docking._inputs.heard.refused > before
     assert docking._inputs.heard.last_refusal.startswith("servo_state")
-    assert any("charging → retract" in line and "SERVO_STALE" in line for line in warned), warned
+    assert any("SERVO_STALE" in line for line in warned), warned
     monkeypatch.undo()
     bring_home(charger)
 

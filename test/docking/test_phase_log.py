@@ -1,18 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Docking's log: every phase once and in order, every failure with its code, the contactor, and no other line."""
+"""Docking's log: every phase once and in order, every failure with its code as a warning, and no other line."""
 
 from __future__ import annotations
 
 import itertools
 import re
-from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
-import pytest
-
 from deltacharger_docking.codes import Code, State
-from deltacharger_docking.observation import Command, DockingStatus, Observation
-from deltacharger_docking.ros.reports import PhaseLog
+from deltacharger_docking.observation import Command
+from deltacharger_docking.ros.reports import PhaseLog, changes
 from deltacharger_sim.virtual.virtual_charger import VirtualCharger
 
 from .dockings import quick_charger
@@ -20,63 +18,42 @@ from .dockings import quick_charger
 PASSAGE = re.compile(r"^dock order-1: (\w+) → (\w+)( after \d+\.\d s)?(, |$)")
 
 
-def passages(lines: list[str]) -> list[tuple[str, str]]:
-    return [(found[1], found[2]) for line in lines if (found := PASSAGE.match(line))]
-
-
-@pytest.fixture
-def logged(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Log lines of all virtual chargers, each stepped as docking_node steps its machine."""
+def logged(run: VirtualCharger) -> tuple[list[str], list[str]]:
+    """Return the lines and warnings of a charger from now on, as docking_node logs its machine."""
     lines: list[str] = []
-    log, follow = PhaseLog(), VirtualCharger._follow
+    warnings: list[str] = []
+    log, follow = PhaseLog(SimpleNamespace(info=lines.append, warning=warnings.append), State.IDLE), run._follow  # type: ignore[arg-type]
     log.begin("dock order-1")
 
-    def followed(run: Any, command: Command) -> None:
-        follow(run, command)
-        lines.extend(log.lines(run.machine.status, command.states, run.observe()))
+    def followed(command: Command) -> None:
+        follow(command)
+        status: Any = run.machine.status
+        log.show(status, changes(State(log.phase), command.states, status.state), run.now, "z")
 
-    monkeypatch.setattr(VirtualCharger, "_follow", followed)
-    return lines
+    run._follow = followed  # type: ignore[method-assign]
+    return lines, warnings
 
 
-def test_a_docking_is_logged_phase_by_phase_with_its_contactor(logged: list[str]) -> None:
+def test_a_docking_is_logged_phase_by_phase_and_its_failure_once() -> None:
     run = quick_charger(1.0, -1.0, 1.0)
+    lines, warnings = logged(run)
     assert run.dock().success
     run.run(1.0)
     assert run.undock().success
-    run.run(0.1)
-    found = passages(logged)
+    assert not warnings
+    found = [(match[1], match[2]) for line in lines if (match := PASSAGE.match(line))]
     assert found[0] == ("idle", "approach")
     assert all(left[1] == right[0] for left, right in itertools.pairwise(found)), found
     assert found[-1][1] == "idle"
     assert {"contact", "measure", "energise", "charging", "retract"} <= {after for _, after in found}
-    assert [line.split(",")[0] for line in logged if "contactor" in line] == [
-        "dock order-1: contactor closed",
-        "dock order-1: contactor open",
-    ]
-    assert len(logged) == len(found) + 2, "a line for each change, and none for a tick"
-    assert "nan" not in "".join(logged)
+    assert len(lines) == 1 + len(found), "a line for each change, and none for a tick"
 
 
-def status(state: State, code: Code = Code.NONE, message: str = "") -> DockingStatus:
-    return DockingStatus(state=state, code=code, message=message)
-
-
-@pytest.mark.parametrize(
-    ("before", "code", "is_lost"),
-    [
-        (State.CHARGING, Code.NO_CONTACT, True),
-        (State.IDLE, Code.NO_CONTACT, True),  # it rests, with electrodes wired to the battery or without current
-        (State.CHARGING, Code.CANCELED, False),
-        (State.CHARGING, Code.NONE, False),  # undocked, or full
-        (State.ENERGISE, Code.SHORT_CIRCUIT, False),
-    ],
-)
-def test_a_charge_that_a_failure_ends_is_told_as_lost(before: State, code: Code, is_lost: bool) -> None:
-    log = PhaseLog()
+def test_a_failure_is_a_warning_and_a_cancel_none() -> None:
+    lines, warnings = list[str](), list[str]()
+    log = PhaseLog(SimpleNamespace(info=lines.append, warning=warnings.append), State.IDLE)  # type: ignore[arg-type]
     log.begin("dock order-1")
-    entered = (State.CONTACT, State.ENERGISE, before)
-    log.lines(replace(status(before), docked=True), entered, Observation(1.0))
-    ended = replace(status(State.RETRACT, code, "why"), docked=True)
-    (line,) = log.lines(ended, (State.RETRACT,), Observation(3.0))
-    assert log.lost == (line if is_lost else "")
+    for code in (Code.NO_CONTACT, Code.NO_CONTACT, Code.NONE, Code.CANCELED):
+        log.show(SimpleNamespace(code=code, message="why"), (), 0.0)
+    assert warnings == ["dock order-1: 302 NO_CONTACT: why"]
+    assert lines[1:] == ["dock order-1: 102 CANCELED: why"]

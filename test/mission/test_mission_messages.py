@@ -6,7 +6,6 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import astuple
-from typing import Any
 
 import pytest
 from builtin_interfaces.msg import Time
@@ -19,12 +18,11 @@ from deltacharger_core.texts import MESSAGE_MAX
 from deltacharger_docking.codes import Code, Rejected, State
 from deltacharger_docking.observation import BasePose
 from deltacharger_docking.ros.messages import pose_stamped
-from deltacharger_mission.dialogue import End, MissionGoal, MissionObservation, MissionStatus, Stage
+from deltacharger_mission.dialogue import End, MissionGoal, MissionObservation
 from deltacharger_mission.machine import MissionMachine
 from deltacharger_mission.parameters import MissionParameters
-from deltacharger_mission.places import BaseMount, Place
+from deltacharger_mission.places import BaseMount
 from deltacharger_mission.ros import others as io
-from deltacharger_mission.ros.mission_node import StageLog
 
 pytestmark = pytest.mark.ros
 
@@ -113,22 +111,3 @@ def test_an_invalid_docking_state_is_ignored() -> None:
     report = io.read_state(DockingState(state=DockingState.STATE_CHARGING, charging=True))
     assert report is not None
     assert report.state is State.CHARGING
-
-
-def test_each_stage_and_each_failure_is_logged_once() -> None:
-    log = StageLog("charge_robot order-1")
-    status = MissionStatus()
-    steps: list[tuple[dict[str, Any], str]] = [
-        ({}, ""),
-        ({"stage": Stage.DRIVE, "elapsed": 0.5}, "wait → drive after 0.5 s"),
-        ({"elapsed": 3.0, "place": Place(1.0, 2.0, 0.5, "map")}, ""),
-        ({"stage": Stage.SEARCH, "elapsed": 4.5, "views": 1}, "drive → search after 4.0 s, base at (1.00, 2.00) m"),
-        ({"code": Code.ELECTRODES_NOT_FOUND, "message": "dark"}, "search, 201 ELECTRODES_NOT_FOUND: dark"),
-        ({"stage": Stage.RETURN, "elapsed": 6.0}, "search → return after 1.5 s"),
-    ]
-    for changes, expected in steps:
-        for name, value in changes.items():
-            setattr(status, name, value)
-        lines = log.lines(status)
-        assert len(lines) == bool(expected)
-        assert all(line.startswith(f"charge_robot order-1: {expected}") for line in lines), lines
