@@ -112,21 +112,9 @@ class Dataset:
         return Dataset(meta=meta, **_checked(source, arrays))
 
 
-_NEEDED = (
-    "left",
-    "right",
-    "tare",
-    "angle",
-    "vertical",
-    "horizontal",
-    "attempt",
-    "session",
-    "rig",
-    "subset",
-    "current",
-)
-_OPTIONAL = ("dead", "contact_pose", "force")
 _INTEGERS = ("attempt", "session", "rig", "subset")
+_NEEDED = ("left", "right", "tare", "angle", "vertical", "horizontal", "current", *_INTEGERS)
+_OPTIONAL = ("dead", "contact_pose", "force")
 _FRAME = (ROWS, COLUMNS)
 _SHAPES = {"left": _FRAME, "right": _FRAME, "tare": (PADS, *_FRAME), "dead": (PADS, *_FRAME), "contact_pose": (3,)}
 _LARGEST_FORCE = 1e3  # N; larger values are in other units

@@ -34,8 +34,7 @@ from deltacharger_vision.images import COLOR, DEPTH
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.rendering.board_drawing import bracket, with_board
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
-from deltacharger_vision.rendering.scene import RenderedScene, shifted
-from deltacharger_vision.rendering.scene_drawing import charger_parts, draw_scene
+from deltacharger_vision.rendering.scene import RenderedScene, charger_parts, draw_scene, shifted
 from deltacharger_vision.ros.messages import CameraPublishers
 from deltacharger_vision.terminal import turn
 

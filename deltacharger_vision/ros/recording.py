@@ -75,7 +75,7 @@ class CameraRecording:
     def __init__(self, path: Path, asked: CameraTopics | None = None) -> None:
         self._file = McapFile(path)
         self.path = path = self._file.path
-        self.topics = _chosen(path, self._file.types, asked or CameraTopics())
+        self.topics = choose_topics(path, self._file.types, asked or CameraTopics())
         self.images = self._file.counts[self.topics.color]
 
     def messages(self, *kinds: str) -> Iterator[Recorded]:
@@ -90,7 +90,7 @@ class CameraRecording:
             yield Recorded(named[each.topic], each.received, each.data)
 
 
-def _chosen(path: Path, types: Mapping[str, str], asked: CameraTopics) -> CameraTopics:
+def choose_topics(path: Path, types: Mapping[str, str], asked: CameraTopics) -> CameraTopics:
     """Return the camera's topics; raises RecordingError if they are missing or ambiguous."""
     color = asked.color and _held(path, types, asked.color, IMAGE)
     if not color:

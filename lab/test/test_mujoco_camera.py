@@ -16,8 +16,7 @@ import pytest
 from deltacharger_lab.mujoco.camera import MujocoCamera, RendererError
 from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
-from deltacharger_vision.rendering.scene import Box, CameraParameters, RenderedScene, shifted
-from deltacharger_vision.rendering.scene_drawing import draw_scene
+from deltacharger_vision.rendering.scene import Box, CameraParameters, RenderedScene, draw_scene, shifted
 from deltacharger_vision.terminal import UPPER, Terminal
 from test.marks import rest
 from test.vision.views import EVEN, FACES, VIEWS, cover, edge_errors, linear, shown, view

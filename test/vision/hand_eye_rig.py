@@ -19,8 +19,7 @@ from deltacharger_vision.images import Intrinsics, project
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.rendering.board_drawing import bracket, with_board
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
-from deltacharger_vision.rendering.scene import RenderedScene, shifted
-from deltacharger_vision.rendering.scene_drawing import charger_parts
+from deltacharger_vision.rendering.scene import RenderedScene, charger_parts, shifted
 from deltacharger_vision.terminal import cross_matrix, turn
 
 ARM = ScalarDelta()

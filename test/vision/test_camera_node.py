@@ -19,7 +19,7 @@ from rclpy.qos import qos_profile_sensor_data
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CameraInfo, Image
 
-from deltacharger_core.mcap_file import Raw
+from deltacharger_core.mcap_file import Raw, RecordingError
 from deltacharger_ros import qos
 from deltacharger_ros.node_support import StartupError
 from deltacharger_vision.cameras.camera_node import CameraNode, RecordingPlayer
@@ -32,7 +32,7 @@ from deltacharger_vision.ros.messages import (
     depth_message,
     stamp_ns,
 )
-from deltacharger_vision.ros.recording import CameraRecording
+from deltacharger_vision.ros.recording import CAMERA_INFO, IMAGE, CameraRecording, CameraTopics, choose_topics
 
 from ..chargers import Spin, wait_until
 from ..nodes import options
@@ -169,3 +169,50 @@ def test_wrong_parameters_stop_the_start(start: Start, tmp_path: Path, replay: s
     McapWriter((tmp_path / "empty.mcap").open("wb"), topics).close()
     with pytest.raises(StartupError, match=noun):
         start(replay=str(tmp_path / replay) if replay else "", rate=60.0, exposure_us=10_000 if replay else 30_000)
+
+
+ANY = CameraTopics()
+
+
+def of(names: str) -> dict[str, str]:
+    """Return types of topics by their names."""
+    kinds = {"camera_info": CAMERA_INFO, "compressed": "sensor_msgs/msg/CompressedImage"}
+    return {name: kinds.get(name.rsplit("/", 1)[1], IMAGE) for name in names.split()}
+
+
+@pytest.mark.parametrize(
+    ("names", "asked", "found"),
+    [
+        (
+            "/c/color/image_raw /c/depth/image_rect_raw /c/aligned_depth_to_color/image_raw /c/color/camera_info",
+            ANY,
+            "/c/color/image_raw /c/aligned_depth_to_color/image_raw /c/color/camera_info",
+        ),
+        (
+            "/oak/rgb/image_raw /oak/stereo/image_raw /oak/rgb/camera_info",
+            CameraTopics("oak/rgb/image_raw", "/oak/stereo/image_raw"),
+            "/oak/rgb/image_raw /oak/stereo/image_raw /oak/rgb/camera_info",
+        ),
+        ("/color/image_raw", ANY, "/color/image_raw  "),
+    ],
+)
+def test_topics_of_other_drivers_are_found_or_named(names: str, asked: CameraTopics, found: str) -> None:
+    assert choose_topics(Path("rec"), of(names), asked) == CameraTopics(*found.split(" "))
+
+
+@pytest.mark.parametrize(
+    ("names", "asked", "noun"),
+    [
+        ("/a/color/image_raw /b/color/image_raw", ANY, "/a/color/image_raw, /b/color/image_raw"),
+        ("/color/image_raw /depth/image_raw /aligned_depth_to_color/image_raw", ANY, "several depth"),
+        ("/color/image_raw", CameraTopics("d"), "/d"),
+        ("/color/image_raw/compressed", ANY, "name one of /color/image_raw/compressed"),
+        ("/color/compressed", CameraTopics("/color/compressed"), "CompressedImage"),
+    ],
+)
+def test_ambiguous_compressed_and_missing_topics_are_refused_with_the_choices(
+    names: str, asked: CameraTopics, noun: str
+) -> None:
+    with pytest.raises(RecordingError, match=noun) as refused:
+        choose_topics(Path("rec.mcap"), of(names), asked)
+    assert "rec.mcap" in str(refused.value)

@@ -18,8 +18,7 @@ from deltacharger_vision.detector.detector import ElectrodeDetector, annotated
 from deltacharger_vision.detector.observed import Region, fit_plane
 from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
-from deltacharger_vision.rendering.scene import Box, RenderedScene, shifted
-from deltacharger_vision.rendering.scene_drawing import draw_scene
+from deltacharger_vision.rendering.scene import Box, RenderedScene, draw_scene, shifted
 from deltacharger_vision.terminal import LOWER, UPPER, Detection, Terminal
 
 from ..marks import night, rest

@@ -12,8 +12,7 @@ import pytest
 from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.mount import look_at
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
-from deltacharger_vision.rendering.scene import Box, CameraParameters, RenderedScene, shifted
-from deltacharger_vision.rendering.scene_drawing import charger_parts
+from deltacharger_vision.rendering.scene import Box, CameraParameters, RenderedScene, charger_parts, shifted
 
 from .views import DISTORTIONS, EVEN, FACES, IDEAL, VIEWS, edge_errors, linear, view
 

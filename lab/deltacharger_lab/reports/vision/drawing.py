@@ -16,8 +16,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from deltacharger_core.arrays import Array
-from deltacharger_vision.rendering.scene import Box, Color, RenderedScene, shifted
-from deltacharger_vision.rendering.scene_drawing import DARK, draw_scene, place_behind
+from deltacharger_vision.rendering.scene import DARK, Box, Color, RenderedScene, draw_scene, place_behind, shifted
 from deltacharger_vision.terminal import Terminal, transform, turn
 
 Random = np.random.Generator
