@@ -5,14 +5,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from action_msgs.srv import CancelGoal
 from deltacharger.action import Dock, Undock
 from rclpy.action.client import ActionClient
 
 from deltacharger_ros.client import ChargerClient
 
 from ..chargers import DEADLINE
-from ..nodes import answer, call
+from ..nodes import answer
 
 
 def pose(*place: float, frame: str = "charger_base", w: float = 1.0, **turn: float) -> Dock.Goal:
@@ -54,11 +53,3 @@ class RawGoals:
     def result(self, goal: Any) -> Any:
         """Send a goal and return its result."""
         return answer(self.send(goal).get_result_async()).result
-
-    def cancel_all(self, action: str) -> int:
-        """Cancel every goal of an action, as a client may do that lost its own; return how many were running."""
-        service = self._client.node.create_client(CancelGoal, f"{action}/_action/cancel_goal")
-        assert service.wait_for_service(DEADLINE)
-        response = call(service, CancelGoal.Request())
-        service.destroy()
-        return len(response.goals_canceling)
