@@ -139,16 +139,14 @@ def stored(path: Path, pixels: np.ndarray) -> Path:
 def test_a_png_keeps_its_pixels_and_the_order_of_its_channels(tmp_path: Path, shape: tuple[int]) -> None:
     pixels = noise(np.uint8, *shape)
     np.testing.assert_array_equal(read_color(stored(tmp_path / "a.png", pixels)), pixels)
+    if shape == (40, 64, 3):
+        write_picture(tmp_path / "b.png", pixels)
+        np.testing.assert_array_equal(read_color(tmp_path / "b.png"), pixels)
 
 
 def test_depth_keeps_its_values_and_an_rgbd_image_has_metres_and_unknowns(tmp_path: Path) -> None:
-    millimetres = noise(np.uint16, 40, 64)
-    np.testing.assert_array_equal(read_depth(stored(tmp_path / "a.png", millimetres)), millimetres)
-    for depth in (millimetres, millimetres * 1e-3):
-        np.save(tmp_path / "a.npy", depth)
-        found = read_depth(tmp_path / "a.npy")
-        assert found.dtype == depth.dtype
-        np.testing.assert_array_equal(found, depth)
+    np.save(tmp_path / "a.npy", METRES)
+    np.testing.assert_array_equal(read_depth(tmp_path / "a.npy"), METRES)
     color = stored(tmp_path / "a.png", noise(np.uint8, 40, 64, 3))
     depth = np.full((40, 64), 1234, dtype=np.uint16)
     depth[0, 0] = 0
@@ -176,12 +174,6 @@ def test_a_wrong_file_is_named(tmp_path: Path, name: str, content: Any, noun: st
     with pytest.raises(ImageError, match=noun) as refused:
         read_rgbd(color, wrong if wrong != color else None, CAMERA)
     assert str(wrong) in str(refused.value)
-
-
-def test_a_written_picture_reads_back_unchanged(tmp_path: Path) -> None:
-    picture = noise(np.uint8, 40, 64, 3)
-    write_picture(tmp_path / "out.png", picture)
-    np.testing.assert_array_equal(read_color(tmp_path / "out.png"), picture)
 
 
 def test_a_missing_library_is_named_with_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
