@@ -4,8 +4,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -68,13 +66,6 @@ def test_an_invalid_scene_names_its_file_its_key_and_the_remedy(tmp_path: Path, 
     assert caught.value.file == str(path)
     assert caught.value.key == key
     assert why in caught.value.problem
-
-
-def test_a_missing_scene_is_reported_with_similar_names(tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match="did you mean 'simulated'"):
-        load_scene("simulate")
-    with pytest.raises(SceneError, match="no such file"):
-        load_scene(tmp_path / "none.yaml")
 
 
 @pytest.mark.parametrize("name", sorted(packaged_scenes()))
@@ -187,15 +178,6 @@ def test_an_unsuitable_argument_is_refused_by_its_name(scene: str, arguments: di
     assert caught.value.key == next(iter(arguments))
 
 
-HEAVY = """
-import sys
-from deltacharger_scenes.node_table import NODES
-from deltacharger_scenes.scene import tables
-assert all(tables(name) for name in NODES)
-sys.exit(sorted({"rclpy", "cv2", "depthai", "mujoco", "serial", "matplotlib", "scipy"} & set(sys.modules)) or None)
-"""
-
-
 def problems_of(parameters: dict[str, Any]) -> list[tuple[str, str]]:
     return list(problems(parse_scene({"nodes": [*parameters], "simulation": {}, "parameters": parameters}, "mine")))
 
@@ -251,12 +233,6 @@ def test_check_and_nodes_accept_whole_numbers_for_floats(context: Any, namespace
     with Composition(scene, context, namespace) as composition:
         assert composition.node("mock_detector_node").get_parameter("x").value == 1.0
         assert list(composition.node("kinematics_node").get_parameter("gravity").value) == [0.0, -9.81, 0.0]
-
-
-@pytest.mark.rest
-def test_parameters_are_known_without_loading_heavy_modules() -> None:
-    ran = subprocess.run([sys.executable, "-c", HEAVY], capture_output=True, text=True, check=False)
-    assert ran.returncode == 0, ran.stderr
 
 
 def test_nodes_follow_the_world_unless_the_scene_sets_other_values() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from deltacharger_core.machine import BAR_LENGTH, BATTERY_MAX, BATTERY_MIN, Port, port_of
+from deltacharger_core.machine import BAR_LENGTH, Port, port_of
 from deltacharger_driver.emulators.power import Outputs, PortParameters
 from deltacharger_sim.circuit import Circuit, Overlap
 from deltacharger_sim.parameters import CircuitParameters
@@ -56,14 +56,6 @@ def test_the_output_follows_the_target_after_the_pre_charge_and_the_contacts_the
     assert circuit.current == pytest.approx(5.0)
     circuit.drive(Outputs())
     assert (circuit.closed, circuit.current, circuit.broken_current) == (False, 0.0, pytest.approx(5.0))
-
-
-def test_the_target_voltage_is_measured_only_in_contact() -> None:
-    circuit = make(None)
-    reading = circuit.read_power()
-    assert BATTERY_MIN <= reading.battery <= BATTERY_MAX
-    assert math.isnan(reading.target)
-    assert run(circuit, 0.02).read_power().target == pytest.approx(24.0)
 
 
 @pytest.mark.parametrize(
@@ -129,30 +121,6 @@ def test_a_welded_contactor_stays_closed_and_what_flows_flows_on() -> None:
     assert circuit.current == pytest.approx(10.0)
     reading = run(circuit, 0.2, None).read_power()
     assert (reading.target, reading.current, reading.closed) == (26.0, 0.0, True)  # in free air, behind the contactor
-
-
-def test_the_battery_gives_the_power_of_the_output_and_sags() -> None:
-    circuit = charging(battery_voltage=26.0)
-    power = 10.0 * circuit.read_power().target / 0.93
-    assert circuit.read_power().battery == pytest.approx(26.0 - 0.13 * power / 26.0)
-
-
-def test_a_filling_battery_draws_constant_and_then_falling_current() -> None:
-    """At constant voltage, the current falls with the time constant of total resistance times capacity."""
-    circuit = make(bars=Bars.flat(80.0), port={"capacity": 40.0})
-    circuit.drive(Outputs(True, True, 10.0, 29.0))
-    currents, delivered = [], 0.0
-    for _ in range(6000):
-        circuit.step(0.01, FULL, Bars.flat(80.0))
-        currents.append(circuit.current)
-        delivered += circuit.current * 0.01
-    flat = sum(current > 9.99 for current in currents) * 0.01
-    expected = 40.0 * (29.0 - 10.0 * 0.16 - 24.0) / 10.0
-    assert flat == pytest.approx(expected, abs=0.4)
-    ratio = currents[4000] / currents[3000]
-    assert ratio == pytest.approx(math.exp(-10.0 / (0.16 * 40.0)), rel=0.02)
-    assert circuit.port.voltage == pytest.approx(24.0 + delivered / 40.0, abs=0.01)
-    assert circuit.port.voltage < 29.0
 
 
 def test_heat_is_reported_of_the_bar_with_the_larger_resistance() -> None:

@@ -12,38 +12,8 @@ import pytest
 from deltacharger_sim.parameters import ContactParameters, MagnetParameters, WorldParameters
 from test.plain import plain_servo
 
-MAGNETS = MagnetParameters()
 FAR = (0.004, -0.003)
 ArmFactory = Callable[..., Any]
-
-
-def approach(arm: Any) -> tuple[float, float, float]:
-    """Step toward the target by 0.25 mm until it snaps: gap (m) and contact current (A) before, command (m) after."""
-    command = 0.068
-    for z in (0.06, command):  # a longer jump would overshoot onto the target
-        arm.go((0.0, 0.0, z))
-    gap = current = 0.0
-    while arm.world.mechanics.contact_force == 0.0:
-        gap, current = arm.world.mechanics.gap, arm.contact_current
-        command += 0.00025
-        assert command < 0.082
-        arm.go((0.0, 0.0, command), 0.5)
-    return gap, current, command
-
-
-def test_the_arm_snaps_in_from_three_millimetres_and_then_pulls_back(arm: ArmFactory) -> None:
-    snapping = arm()
-    gap, before, command = approach(snapping)
-    assert gap == pytest.approx(0.0033, abs=0.0004)
-    assert before == pytest.approx(-0.17, abs=0.05)
-    assert snapping.contact_current == pytest.approx(-0.45, abs=0.06)
-    assert snapping.world.push() < 0.0
-    for _ in range(30):
-        if snapping.contact_current >= 0.0:
-            break
-        command += 0.00025
-        snapping.go((0.0, 0.0, command), 0.2)
-    assert 0.0795 < command < 0.0825
 
 
 def test_the_magnets_release_at_1_6_ampere_per_servo_and_not_before(arm: ArmFactory) -> None:

@@ -16,7 +16,6 @@ from deltacharger_driver.emulators.servo import OK
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.servos.registers import REGISTERS, TICK
 from deltacharger_sim.parameters import (
-    MagnetParameters,
     TargetParameters,
     WorldParameters,
 )
@@ -95,14 +94,6 @@ class TestRecord:
         dead.dock()
         assert dead.world.snapshot().clearance < 0.0
         assert (dead.world.record.energised_shorts, dead.world.record.energised_unsafe) == (0, 0.0)
-
-    def test_tearing_off_while_charging_stops_the_current_and_is_recorded(self, arm: ArmFactory) -> None:
-        torn = arm(WorldParameters(magnets=MagnetParameters(force=0.0)))
-        torn.charge(0.5)
-        torn.go((0.0, 0.0, 0.05), 0.5)
-        circuit = torn.world.circuit
-        assert (circuit.current, circuit.closed, torn.power.fault) == (0.0, False, 1)
-        assert torn.world.record.parted_live == 1
 
     def test_torque_lost_before_the_current_and_current_broken_by_an_emergency_are_recorded(
         self, arm: ArmFactory
