@@ -16,7 +16,7 @@ import importlib.util
 import math
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from builtin_interfaces.msg import Time as Stamp
@@ -34,7 +34,6 @@ SAME = (0.002, math.radians(0.5))  # m and rad, tolerance for one mount: roundin
 TF, TF_STATIC = "/tf", "/tf_static"
 _DEPTH = 100  # messages, as in TransformListener
 _POLL = 0.02  # s between polls for a transform
-_DISCOVERY = 2.0  # s after the start during which a publisher may be undiscovered
 _NAMED = 5  # frames listed in a message
 _QUOTED = 60  # maximum characters of a frame's name in a message
 _SET_BACK = 1_000_000_000  # ns; a larger step back of the clock is a restart, e.g. of a simulation
@@ -76,7 +75,6 @@ class TfTree:
         self._waits = threading.Lock()  # one waiter at a time: goals in unknown frames must not occupy all workers
         self._buffer: Any = None  # created when first needed: its import takes more memory than the readers
         self._parents: dict[str, str] = {}
-        self._static: dict[str, Any] = {}
         self._left_out: dict[str, str] = {}  # frame → why its newest transform was refused for its stamp
         self._last = 0  # ns, the node's clock
         self._started = time.monotonic()
@@ -89,10 +87,7 @@ class TfTree:
     @property
     def settling(self) -> float:
         """Remaining time, s, in which published transforms may still arrive for the first time."""
-        patience = self._given.transform_timeout
-        if not any(self._node.count_publishers(topic.name) for topic in (self._fixed, self._moving)):
-            patience = min(patience, _DISCOVERY)
-        return max(0.0, self._started + patience - time.monotonic())
+        return max(0.0, self._started + self._given.transform_timeout - time.monotonic())
 
     def knows(self, *frames: str) -> bool:
         """Return whether tf has all these frames now."""
@@ -137,14 +132,16 @@ class TfTree:
     def _read(self) -> None:
         """Move new messages into the buffer."""
         now = int(self._node.get_clock().now().nanoseconds)
-        if self._buffer is None or now < self._last - _SET_BACK:
-            self._begin()
+        if self._buffer is None:
+            self._buffer = _new_buffer()
+        if now < self._last - _SET_BACK:
+            self._buffer.clear()  # static transforms stay
+            self._left_out.clear()
         self._last = now
         for message, _ in self._fixed.take():
             for each in message.transforms:
                 if each.header.stamp.sec >= 0:
-                    self._static[each.child_frame_id] = each
-                    self._take(each, fixed=True)
+                    self._take(each, self._buffer.set_transform_static)
         for message, _ in self._moving.take():
             for each in message.transforms:
                 self._take_moving(each)
@@ -161,25 +158,9 @@ class TfTree:
             self._parents.setdefault(child, transform.header.frame_id)
             return
         self._left_out.pop(child, None)
-        self._take(transform, fixed=False)
+        self._take(transform, self._buffer.set_transform)
 
-    def _begin(self) -> None:
-        """Create a new buffer with only the static transforms, which are published once."""
-        try:
-            from tf2_ros import Buffer
-        except ImportError as error:
-            raise TransformError(
-                f"tf2_ros is installed but cannot be loaded ({error}): reinstall it and tf2_py; poses in charger_base "
-                "need no tf"
-            ) from error
-        self._buffer = Buffer()
-        self._parents.clear()
-        self._left_out.clear()
-        for each in self._static.values():
-            self._take(each, fixed=True)
-
-    def _take(self, transform: Any, fixed: bool) -> None:
-        put = self._buffer.set_transform_static if fixed else self._buffer.set_transform
+    def _take(self, transform: Any, put: Callable[[Any, str], None]) -> None:
         put(transform, "tf")
         self._parents[transform.child_frame_id] = transform.header.frame_id
 
@@ -236,6 +217,17 @@ class TfTree:
             return "it knows none: nothing publishes to /tf or /tf_static in this domain"
         near = difflib.get_close_matches(frame, known, _NAMED, 0.0)
         return f"it knows {len(known)}, such as {', '.join(near)}"
+
+
+def _new_buffer() -> Any:
+    try:
+        from tf2_ros import Buffer
+    except ImportError as error:
+        raise TransformError(
+            f"tf2_ros is installed but cannot be loaded ({error}): reinstall it and tf2_py; poses in charger_base "
+            "need no tf"
+        ) from error
+    return Buffer()
 
 
 def _numbers(found: Any) -> Pose:

@@ -67,12 +67,9 @@ def make(context: Any, namespace: str, robot: Robot) -> Iterator[Make]:
         timeout: float = 0.1,
         base_pose: Pose | None = None,
         mounted: bool = True,
-        use_sim_time: bool = False,
         **given: Any,
     ) -> Frames:
-        parameters: dict[str, Any] = {"use_sim_time": use_sim_time}
-        if base_pose is not None:
-            parameters["base_pose"] = list(base_pose)
+        parameters = {} if base_pose is None else {"base_pose": list(base_pose)}
         nodes.append(Node(f"asker_{len(nodes)}", **options(context, namespace, **parameters)))
         transform = TransformParameters(prefix, transform_timeout=timeout, **given)
         found = Frames(nodes[-1], transform, "base_link", base_pose or USUAL)
@@ -222,21 +219,14 @@ def test_the_default_is_not_used_while_tf_may_still_arrive(robot: Robot, make: M
 
 
 def test_without_tf_nothing_waits_after_the_start_and_base_pose_is_logged_once(
-    context: Any, namespace: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    context: Any, namespace: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Remapped topics count, their usual names do not."""
-    kind = transforms().TFMessage
-    monkeypatch.setattr(frames_module, "_DISCOVERY", 0.2)
-    remapped = ["--ros-args", "-r", f"/tf:=/{namespace}/tf", "-r", f"/tf_static:=/{namespace}/tf_static"]
-    node = Node("asker", **options(context, namespace), cli_args=remapped)
-    frames = Frames(node, TransformParameters(transform_timeout=PATIENCE), "base_link", USUAL)
-    node.create_publisher(kind, "/elsewhere/tf_static", 10)
+    node = Node("asker", **options(context, namespace))
+    frames = Frames(node, TransformParameters(transform_timeout=0.2), "base_link", USUAL)
     began = time.monotonic()
     assert [frames.charger_base_in("base_link") for _ in range(3)] == [USUAL] * 3
     assert time.monotonic() - began < host(3.0)
     assert "".join(capfd.readouterr()).count("base_pose is used for the charger's mount") == 1
-    node.create_publisher(kind, f"/{namespace}/tf_static", 10)
-    wait_until(lambda: frames._tf is not None and frames._tf.settling > 0.0, "the publisher")
     node.destroy_node()
 
 
@@ -262,6 +252,17 @@ def test_a_transform_with_an_invalid_stamp_hides_no_other(robot: Robot, make: Ma
     await_pose(frames, "map")
     with pytest.raises(TransformError, match="stamp is negative"):
         frames.charger_base_in("map", Stamp(sec=-1))
+
+
+def test_after_its_clock_went_back_only_static_transforms_stay(robot: Robot, make: Make) -> None:
+    frames = make()
+    robot.move(("map", "base_link", IDENTITY))
+    await_pose(frames, "map")
+    assert frames._tf is not None
+    frames._tf._last += 2 * 10**9
+    with pytest.raises(TransformError):
+        frames.charger_base_in("map")
+    assert close(frames.charger_base_in("base_link"), MOUNT)
 
 
 def test_a_base_pose_that_contradicts_tf_is_an_error_but_rounding_is_not(robot: Robot, make: Make) -> None:

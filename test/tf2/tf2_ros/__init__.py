@@ -84,6 +84,10 @@ class Buffer:
         """Keep a transform for all times."""
         self._put(transform, fixed=True)
 
+    def clear(self) -> None:
+        """Forget all but static transforms."""
+        self._links = {name: link for name, link in self._links.items() if link.fixed}
+
     def lookup_transform(self, target_frame: str, source_frame: str, time: Time) -> TransformStamped:
         """Return the pose of `source_frame` in `target_frame`; time zero = the newest that all links have."""
         up, down = self._to_root(source_frame), self._to_root(target_frame)
