@@ -238,33 +238,18 @@ class Regularly:
     Args:
         work: called with its period (s) and an event; it must return when the event is set.
         name: name of the thread.
+        rate: Hz.
     """
 
-    def __init__(self, work: Callable[[float, threading.Event], None], name: str) -> None:
-        self._work = work
-        self._name = name
-        self._lock = threading.Lock()
-        self._stopped = False
+    def __init__(self, work: Callable[[float, threading.Event], None], name: str, rate: float) -> None:
         self._stopping = threading.Event()
         self._thread: threading.Thread | None = None
-
-    def start(self, rate: float) -> None:
-        """Work at a new rate (Hz), unless stopped; does not wait for running work."""
-        with self._lock:
-            if self._stopped:
-                return
-            self._stopping.set()
-            self._stopping, self._thread = threading.Event(), None
-            if rate > 0.0:
-                arguments = (1.0 / rate, self._stopping)
-                self._thread = threading.Thread(target=self._work, args=arguments, name=self._name, daemon=True)
-                self._thread.start()
+        if rate > 0.0:
+            self._thread = threading.Thread(target=work, args=(1.0 / rate, self._stopping), name=name, daemon=True)
+            self._thread.start()
 
     def stop(self) -> None:
         """Stop, and wait for running work. Safe to call twice."""
-        with self._lock:
-            self._stopped = True
-            self._stopping.set()
-            thread, self._thread = self._thread, None
-        if thread is not None:
-            thread.join(_LAST)
+        self._stopping.set()
+        if self._thread is not None:
+            self._thread.join(_LAST)

@@ -97,8 +97,7 @@ class MisalignmentNode(Node):
             callback_group=ReentrantCallbackGroup(),
             qos_profile=SERVICE,
         )
-        self._regularly = Regularly(self._publish, "misalignment")
-        self._regularly.start(given.rate)
+        self._regularly = Regularly(self._publish, "misalignment", given.rate)
 
     def close(self) -> None:
         """Release waiting requests and stop the publisher."""

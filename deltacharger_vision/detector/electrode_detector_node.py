@@ -239,8 +239,7 @@ class ElectrodeDetectorNode(Node):
             DetectElectrodes, "detect_electrodes", self._on_detect, callback_group=group, qos_profile=SERVICE
         )
         steady_timer(self, 1.0, self._diagnose)
-        self._regularly = Regularly(self._watch, "detector")
-        self._regularly.start(given.rate)
+        self._regularly = Regularly(self._watch, "detector", given.rate)
 
     def close(self) -> None:
         """Release waiting requests and stop the thread."""

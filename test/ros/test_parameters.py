@@ -26,7 +26,7 @@ from deltacharger_ros.parameters import Regularly, Tuning, declare_all, reject_u
 
 from ..nodes import options
 from ..plants import BenchArm
-from ..waiting import DEADLINE, wait_until
+from ..waiting import DEADLINE
 
 pytestmark = pytest.mark.ros
 
@@ -194,27 +194,15 @@ def test_values_that_the_node_refuses_stay_unchanged(subject: Subject) -> None:
     assert subject.together(low=0.45) == ""
 
 
-def test_a_rate_can_change_and_a_stop_is_final() -> None:
-    working: list[tuple[float, threading.Event]] = []
+def test_regular_work_has_its_period_and_is_told_to_stop() -> None:
+    working: list[tuple[float, bool]] = []
 
     def work(period: float, stopping: threading.Event) -> None:
-        working.append((period, stopping))
-        assert stopping.wait(DEADLINE)
+        working.append((period, stopping.wait(DEADLINE)))
 
-    regularly = Regularly(work, "subject")
-    regularly.start(0.0)
-    assert not working
-    regularly.start(10.0)
-    regularly.start(20.0)
-    wait_until(lambda: len(working) == 2)
-    (first, ended), (second, goes_on) = working
-    assert (first, second) == (0.1, 0.05)
-    assert ended.is_set()
-    assert not goes_on.is_set()
-    regularly.stop()
-    regularly.start(30.0)
-    assert goes_on.is_set()
-    assert len(working) == 2
+    for rate in (0.0, 20.0):
+        Regularly(work, "subject", rate).stop()
+    assert working == [(0.05, True)]
 
 
 CONTENT = "{stiffness: 9.5, torque_constant: 1.31, position_p_gain: 300, position_d_gain: 4}"
