@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 
-from deltacharger_docking.charging import CLEARANCE_PERIOD
 from deltacharger_docking.codes import Code, Rejected, State
 from deltacharger_docking.observation import Command, Decision, DockGoal, Service
 from deltacharger_sim.parameters import CircuitParameters
@@ -18,7 +17,6 @@ from deltacharger_sim.virtual.virtual_charger import GOAL, VirtualCharger
 
 from .dockings import (
     ends,
-    feel,
     quick_charger,
     spoil,
 )
@@ -120,15 +118,6 @@ def test_a_tilt_measured_at_first_touch_is_not_pressed() -> None:
     assert_home(wired.run)
 
 
-def test_an_offset_across_the_bars_is_corrected_before_pressing() -> None:
-    wired = Wired(0.0, 12.0, 4.0)  # the magnets draw the electrodes to 9 mm
-    wired.run.begin(DockGoal(GOAL))
-    wired.run.until(lambda: "move" in wired.kinds, 60.0)
-    assert wired.pressed < PRESSED
-    assert "contact" not in wired.kinds
-    assert wired.run.finish(120.0).success
-
-
 @pytest.mark.parametrize("goal", [DockGoal(GOAL, start_charging=False), DockGoal(GOAL, stop_energy=100.0)])
 @pytest.mark.parametrize("docked", [False, True])
 def test_goals_that_need_a_contactor_are_refused(goal: DockGoal, docked: bool) -> None:
@@ -155,17 +144,6 @@ def test_a_docked_charger_is_supervised_as_while_charging(wrong: dict[str, Any],
     run = Wired().docked()
     spoil(run, **wrong)
     ends(run, code, within)
-
-
-def test_the_arm_retracts_after_docking_was_suspended_or_clearance_is_lost() -> None:
-    run = Wired(coarse=True).docked()
-    run.now += CLEARANCE_PERIOD + 2.0
-    ends(run, Code.POWER_STALE, 0.1)
-    assert_home(run)
-    assert run.dock().success
-    feel(run, angle=math.radians(11.0))
-    ends(run, Code.CRITICAL_ANGLE, 2.5 * CLEARANCE_PERIOD)
-    assert_home(run)
 
 
 @pytest.mark.parametrize("hold", [False, True])

@@ -137,18 +137,6 @@ def test_a_battery_management_that_cuts_off_is_full_only_at_full_voltage(volts: 
             charge.run(target, 30.0, set_at(target, 10.0, takes=0.0))
 
 
-@pytest.mark.parametrize("volts", [24.0, 28.9])
-def test_the_stage_s_own_voltage_in_the_period_of_a_cut_does_not_count(volts: float) -> None:
-    charge, target = Charge(), Target(volts, inner=0.01)
-
-    def change(at: float) -> None:
-        target.takes = 1.0 if at < 10.0 else 0.4 if at < 10.0 + PERIOD else 0.0
-        target.volts = volts if at < 10.0 or target.takes == 0.0 else 29.4
-
-    with pytest.raises(NoChargeCurrent, match="not full"):
-        charge.run(target, 30.0, change)
-
-
 def test_pulses_at_full_voltage_are_full_and_others_are_gaps() -> None:
     def pulse(target: Target) -> Callable[[float], None]:
         return lambda at: vars(target).update(takes=0.0 if at % 2.0 > 1.9 else 1.0)
@@ -191,14 +179,6 @@ def test_a_regulated_input_whose_port_shows_no_battery_is_full_only_by_a_small_c
     assert Charge(dead).run(diode, 1500.0) == "steady load"
 
 
-def test_a_slow_constant_current_below_full_voltage_is_no_steady_load() -> None:
-    """Also where the board's own limit is lower than docking's."""
-    target, charge = Target(29.0, inner=0.04, rate=5e-5), Charge()
-    power = target.power
-    target.power = lambda limit, seconds: power(min(limit, 3.0), seconds)  # type: ignore[method-assign]
-    assert charge.run(target, 1500.0) == ""
-
-
 @pytest.mark.parametrize("current", [0.3, 0.1])
 def test_a_battery_too_cold_to_charge_is_not_full(current: float) -> None:
     target = Target(24.5)
@@ -224,9 +204,3 @@ def test_a_contact_that_is_dirty_from_the_start_shows_against_the_cleanest_one()
     assert charge.limits[-1] == pytest.approx(5.0, rel=0.05)
     with pytest.raises(NoChargeCurrent, match=r"contact resistance rose to \d+ mΩ: clean the electrodes"):
         charge.run(Target(19.0, dirt=12.0), 60.0)
-
-
-def test_nothing_is_known_about_the_contacts_of_a_dead_port() -> None:
-    charge, target = Charge(replace(SEVEN, port="dead")), Target(24.0, rate=0.002)
-    assert charge.run(target, 900.0) == "current below 0.5 A"
-    assert min(charge.limits) == 10.0

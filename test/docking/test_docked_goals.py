@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from deltacharger_docking import energy, release
+from deltacharger_docking import energy
 from deltacharger_docking.charging import CLEARANCE_PERIOD
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.observation import DockGoal, Observation, Reply, Service
@@ -211,13 +211,6 @@ def away(run: VirtualCharger) -> float:
     return math.dist(run.world.snapshot().position, run.parameters.home)
 
 
-def test_one_unsure_estimate_does_not_end_charging() -> None:
-    run = docked(coarse=True)
-    feel(run, times=2, sure=False)
-    run.run(8.0)
-    assert run.machine.status.charging
-
-
 def test_a_failure_right_after_the_close_waits_until_the_contactor_is_open() -> None:
     """Closing takes time and charger_power is late, so the first messages still report an open contactor."""
     run = quick_charger()
@@ -244,18 +237,6 @@ def test_a_failure_right_after_the_close_waits_until_the_contactor_is_open() -> 
     assert run.world.record.unpowered_live == 0
 
 
-@pytest.mark.parametrize("fault", [{"servo_age": 0.2}, {"angles": NAN3, "servos_valid": False}])
-def test_retracting_ends_with_any_servo_data(monkeypatch: pytest.MonkeyPatch, fault: dict[str, Any]) -> None:
-    monkeypatch.setattr(release, "RETRACT_TIMEOUT", 3.0)
-    run = quick_charger()
-    reach(run, State.MEASURE)
-    run.machine.cancel()
-    spoil(run, **fault)
-    assert run.finish(8.0).code is Code.CANCELED
-    run.run(0.1)
-    assert not run.observe().torque_enabled
-
-
 def test_undocking_fails_while_the_torque_stays_on() -> None:
     run = docked()
     serve = run._reply
@@ -267,18 +248,6 @@ def test_undocking_fails_while_the_torque_stays_on() -> None:
     outcome = run.undock()
     assert outcome.code is Code.SERVO_FAULT
     assert "still reports" in outcome.message
-
-
-def test_a_fault_latched_before_docking_is_cleared_once() -> None:
-    run = quick_charger()
-
-    def clear(reply: Reply) -> Reply:
-        spoil(run)
-        return reply
-
-    run.answer[Service.OPEN] = clear
-    spoil(run, power_fault=8)
-    assert run.dock().success
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,7 @@ from rosgraph_msgs.msg import Clock
 from deltacharger_core.texts import REQUEST_ID_MAX
 from deltacharger_ros.client import ChargerClient
 from deltacharger_ros.messages import CODES, seconds
-from deltacharger_ros.outcomes import DockRequest, Progress
+from deltacharger_ros.outcomes import Progress
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import Scene
 
@@ -138,18 +138,6 @@ def test_an_impossible_goal_is_refused_before_anything_moves(
     assert all(map(math.isnan, (result.contact_current, result.contact_force, result.charge_current)))
     assert result.energy == 0.0, "counted, and none flowed"
     assert result.alignments == result.redockings == 0
-
-
-@pytest.mark.parametrize(("fault", "name"), [("beyond_reach", "UNREACHABLE"), ("leaning", "LEANING")])
-def test_a_bad_detection_is_refused_with_a_suggested_base_pose(charger: RunningCharger, fault: str, name: str) -> None:
-    servos = charger.node("mock_servo_node")
-    before = servos.position
-    charger.set("mock_detector_node", fault=fault)
-    outcome = charger.dock(DockRequest(None))
-    assert outcome.error_name == name, outcome
-    assert servos.position == pytest.approx(before, abs=1e-3)
-    yaw = outcome.details["suggested_base_pose"]["yaw"]
-    assert yaw == pytest.approx(math.radians(10.0) if name == "LEANING" else 0.0)
 
 
 def defect(monkeypatch: pytest.MonkeyPatch, owner: Any, method: str, once: bool) -> None:

@@ -15,7 +15,7 @@ from deltacharger_sim.parameters import ContactParameters, PlatformParameters, T
 from deltacharger_sim.virtual.virtual_charger import GOAL, VirtualCharger
 
 from ..marks import rest
-from .dockings import MILLIMETRE, assert_safe_at_home, charger, feel, quick_charger, spoil
+from .dockings import MILLIMETRE, assert_safe_at_home, charger, quick_charger, spoil
 
 REFUSED = {Code.CRITICAL_ANGLE, Code.ESTIMATE_UNSURE, Code.NO_TACTILE_CONTACT}
 CHARGED, EITHER = {Code.NONE}, {Code.NONE, Code.CRITICAL_ANGLE, Code.MISALIGNED}
@@ -75,14 +75,6 @@ def test_a_tilt_is_charged_up_to_seven_degrees_refused_from_twelve_and_never_sho
         assert not outcome.aligned
         assert run.world.record.energised == 0.0
         assert_safe_at_home(run)
-
-
-def test_after_an_unsure_estimate_contact_is_repeated_once_and_then_fails() -> None:
-    run = quick_charger(0, 0)
-    feel(run, sure=False)
-    assert run.dock().code is Code.ESTIMATE_UNSURE
-    assert run.world.record.contacts == 2
-    assert_safe_at_home(run)
 
 
 @pytest.mark.parametrize(
@@ -220,12 +212,6 @@ def test_a_large_pitch_is_refused_before_anything_moves_without_a_suggested_base
     assert (outcome.code, outcome.retriable, outcome.suggested_base) == (Code.LEANING, False, None)
     assert "pitched" in outcome.message
     assert_nothing_was_moved(run)
-
-
-@pytest.mark.parametrize("stddev", [UNKNOWN, math.inf, 4.0])
-def test_a_lean_that_is_not_sure_is_left_to_the_pads(stddev: float) -> None:
-    outcome = dock_at(leaning_at(12.0, 12.0, stddev=stddev), seen=True)[1]
-    assert outcome.success, outcome
 
 
 def test_the_suggested_base_pose_faces_electrodes_of_known_yaw_squarely() -> None:

@@ -13,7 +13,6 @@ sensors do not confirm, and while current flows any two of the three inputs dete
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from types import MappingProxyType
@@ -336,48 +335,6 @@ def test_old_data_stop_the_arm_fresh_data_continue_and_missing_data_end_the_goal
     run.go_home()
 
 
-@pytest.mark.parametrize(
-    ("state", "topic", "code"),
-    [
-        *((state, "servo_state", Code.SERVO_STALE) for state in (State.APPROACH, State.MEASURE, State.RETRACT)),
-        *((state, "tactile_frame", Code.TACTILE_STALE) for state in (State.APPROACH, State.CONTACT)),
-    ],
-)
-def test_data_that_stay_too_old_to_move_on_are_waited_for_by_name_and_end_the_goal(
-    run: Faulty, state: State, topic: str, code: Code
-) -> None:
-    """Fresh enough not to count as missing, as over a bad network."""
-    run.reach(state)
-    run.shown = {f"{topic.split('_')[0]}_age": 0.3}
-    run.run(1.0)
-    assert topic in run.machine.status.waiting_for
-    outcome = run.finish(7.0)
-    assert outcome.code is code
-    assert re.search(r"0\.30? s old", outcome.message)
-    run.shown = {}
-    run.run(0.3)
-    assert run.machine.status.waiting_for == ""
-    assert not run.has_torque
-    run.go_home()
-
-
-@pytest.mark.parametrize("state", [State.APPROACH, State.CONTACT])
-@pytest.mark.parametrize("wrong", [math.nan, math.inf])
-def test_readings_flagged_valid_that_are_no_numbers_count_as_not_valid(state: State, wrong: float) -> None:
-    """After 0.3 s of them docking goes on; in the swing, too, which begins with them."""
-    run = Faulty()
-    run.reach(state)
-    run.run(0.1)
-    run.shown = {"angles": (wrong, 0.1, 0.1), "earlier": ()}
-    run.run(0.3)
-    run.shown = {"currents": (0.1, 0.1, wrong), "earlier": ()}
-    run.run(0.05)
-    run.shown = {}
-    outcome = run.finish(60.0)
-    assert outcome.success, outcome.message
-    run.assert_never_hurt()
-
-
 @pytest.mark.parametrize("seconds", [0.4, 2.0], ids=["carried out", "refused as too late, and repeated"])
 @pytest.mark.parametrize("follows", [False, True], ids=["no goal", "a goal follows at once"])
 def test_an_order_to_go_limp_never_falls_into_the_next_goal(seconds: float, follows: bool) -> None:
@@ -409,22 +366,6 @@ def test_an_order_to_go_limp_never_falls_into_the_next_goal(seconds: float, foll
         run.run(0.5)
         assert not run.has_torque
     run.assert_never_hurt()
-
-
-def test_servos_that_fail_during_the_probe_are_told_and_not_the_probe_that_they_end() -> None:
-    """servo_node opens the contactor, which ends the probe; its servo_state may come a little later."""
-    run = Faulty(off=0.0)
-
-    def fail(reply: Reply) -> Reply:
-        failed, none = run.now, (math.nan,) * 3
-        gone = {"angles": none, "currents": none, "servos_valid": False}
-        run.distort = lambda seen: replace(seen, **gone) if seen.time > failed + 0.1 else seen
-        return Reply(reply.number, False, "the board refused PROBE")
-
-    run.answer[Service.PROBE] = fail
-    run.begin(DockGoal(GOAL))
-    run.until(lambda: run.machine.status.code is not Code.NONE, 20.0)
-    assert run.finish(5.0).code is Code.SERVO_FAULT
 
 
 def test_a_goal_that_an_emergency_ends_keeps_its_account() -> None:

@@ -14,7 +14,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_docking.arm import Planner
 from deltacharger_docking.codes import Unreachable
 from deltacharger_docking.parameters import DockingParameters
@@ -40,12 +39,6 @@ def test_commands_lead_the_line_by_the_servos_yield_under_the_arms_weight() -> N
     assert np.abs(lead).max() > math.radians(0.5)
     weightless = Planner(DockingParameters(gravity=(0.0, 0.0, 0.0)), DeltaGeometry()).line(HOME, STANDOFF, 0.12)
     assert np.allclose(weightless[-1].angles, DELTA.inverse(STANDOFF).angles, atol=1e-15)
-
-
-def test_each_servo_may_push_by_the_same_current_above_its_holding_current() -> None:
-    last = PLANNER.line(HOME, STANDOFF, 0.12)[-1]
-    held = np.abs(DELTA.holding_torque(STANDOFF, PARAMETERS.gravity))
-    assert np.allclose(np.subtract(last.torque_bound, held), PARAMETERS.push_current * TORQUE_CONSTANT, atol=1e-12)
 
 
 def test_commands_stay_inside_the_joint_limits_and_rest_where_they_are_cut() -> None:
@@ -155,23 +148,6 @@ def test_pieces_are_short_never_refused_and_end_exactly_at_the_goal(line: Piece,
     assert pieces[-1][-1].angles == line[-1].angles
     assert pieces[-1][-1].torque_bound == line[-1].torque_bound
     assert feed.piece(now) is None
-
-
-@pytest.mark.parametrize("longest", [0.0, HORIZON - 2 * TICK])
-def test_ticks_in_time_or_late_within_the_horizon_give_the_goal_of_the_complete_line(longest: float) -> None:
-    draw, due = random.Random(3), [0.0]
-
-    def received(now: float) -> bool:
-        if now < due[0]:
-            return False
-        due[0] = now + draw.uniform(0.0, longest)
-        return True
-
-    whole, listener = checked(LINE), Listener()
-    rows = drive(begun(), listener, END + 0.1, received)
-    goals = np.array([whole.goal_at(now, LINE[0].angles) for now in rows[:, 0]])
-    assert np.abs(rows[:, 1:4] - goals).max() < (0.003 if longest else 1e-12), "chords of a curved way, in rad"
-    assert len(listener.pieces) > 5
 
 
 @pytest.mark.parametrize(("lag", "share"), [(0.02, 0.1), (LAG, 0.3), (0.364, 0.5)])

@@ -7,7 +7,6 @@ An arm that could not stop, press or let go is refused before contact, by the na
 from __future__ import annotations
 
 import random
-from dataclasses import replace
 from itertools import permutations
 from typing import Any
 
@@ -15,7 +14,7 @@ import pytest
 
 from deltacharger_core.machine import SERVO_INERTIA, TORQUE_CONSTANT
 from deltacharger_core.servo_types import MX_64
-from deltacharger_docking.codes import Code, State
+from deltacharger_docking.codes import Code
 from deltacharger_docking.observation import DockGoal
 from deltacharger_driver.servos.registers import TICK
 from deltacharger_kinematics.geometry import Vector
@@ -23,7 +22,7 @@ from deltacharger_kinematics.swing import fit_swing, swing_readings
 from deltacharger_sim.parameters import CableParameters, MagnetParameters, ServoParameters, StandParameters
 from deltacharger_sim.virtual.virtual_charger import GOAL, VirtualCharger
 
-from .dockings import assert_safe_at_home, charger, commands, decisions, reach
+from .dockings import assert_safe_at_home, charger, commands, decisions
 
 SWUNG = ((12.0, 0.4), (15.0, 0.75), (20.0, 1.0))
 """Stiffness (N·m/rad) and damping (N·m·s/rad) of three servos."""
@@ -126,22 +125,6 @@ def test_friction_is_measured_although_it_holds_the_arm_on_a_short_way(drag: flo
     assert run.dock(DockGoal(GOAL, start_charging=False)).success
     (found,) = (dict(each.values)["friction_force_N"] for each in decisions(sent, "friction"))
     assert (10.0 if stronger else 3.0) < found < (14.5 if stronger else 5.0)
-
-
-@pytest.mark.parametrize("times", [2.0, 4.0])
-def test_friction_that_grows_after_the_tare_is_named_or_inside_the_told_interval(times: float) -> None:
-    run = charger(2.0, 1.0, 1.0, coarse=True, servo=ServoParameters(friction=0.2))
-    reach(run, State.CONTACT)
-    mechanics = run.world.mechanics
-    parameters = mechanics._parameters
-    worse = replace(parameters, servo=replace(parameters.servo, friction=0.2 * times))
-    mechanics._parameters, mechanics._inputs = worse, (None,) * 8
-    outcome = run.finish(120.0)
-    if outcome.success:
-        assert outcome.contact_force_min <= run.world.snapshot().push <= outcome.contact_force_max
-    else:
-        assert "rub more than at the tare" in outcome.message
-    assert outcome.success or times == 4.0
 
 
 def test_magnets_that_the_arm_could_not_leave_are_not_touched() -> None:

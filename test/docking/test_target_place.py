@@ -25,11 +25,9 @@ from deltacharger_docking.place import (
     HORIZONTAL_SHARED,
     LOAD_PER_YAW,
     AlongFilter,
-    AxisFilter,
     LookAlong,
     MagnetPull,
     TargetPlace,
-    empty_pad_offset,
 )
 
 MILLIMETRE, DEGREE = 1e-3, math.radians(1.0)
@@ -86,22 +84,6 @@ def test_the_offset_across_is_the_measured_one_and_the_vertical_follows_from_it(
     assert estimate.vertical * math.cos(angle) - estimate.horizontal * math.sin(angle) == pytest.approx(felt.across)
     x, y = place.off
     assert y * math.cos(angle) - x * math.sin(angle) == pytest.approx(felt.across)
-
-
-def test_the_remaining_share_is_learnt_once_per_target_and_only_from_its_contacts() -> None:
-    share = RemainingShare(PARAMETERS)
-    untouched = TargetPlace(PARAMETERS, share, seen(2.0, 0.05))
-    before = share.value, share.stddev
-    untouched.learn()
-    assert (share.value, share.stddev) == before, "no contact"
-    place = TargetPlace(PARAMETERS, share, seen(2.0, 0.05))
-    for aside in (0.0, 0.006, -0.006, 0.0):
-        place.add(contact(aside, 2.0), -aside, 0.0, PUSH)
-    place.learn()
-    once = share.value, share.stddev
-    assert once[1] < before[1]
-    place.learn()
-    assert (share.value, share.stddev) == once
 
 
 def one_pad(left: float, right: float) -> MisalignmentEstimate:
@@ -191,13 +173,6 @@ def simulated(count: int, asides: tuple[float, ...], bias_stddev: float = BIAS) 
     return found
 
 
-def test_with_an_unknown_lean_one_contact_does_not_change_the_expected_place() -> None:
-    tracker = known(bias_stddev=0.1)
-    tracker.update(LookAlong(0.0, 0.015, 1e-4, 60.0 + PUSH, 1e3, PUSH, 0.0, 0.0))
-    assert abs(tracker.target) < 0.1 * MILLIMETRE
-    assert tracker.contact.stddev == pytest.approx(math.hypot(PARAMETERS.place_stddev, DOCKING_JITTER), rel=0.1)
-
-
 def test_contacts_beside_the_target_locate_it_within_the_reported_error() -> None:
     one, three = (simulated(100, asides, bias_stddev=0.02) for asides in ((0.0,), (0.0, 0.006, -0.006)))
     scores = [(target.landed - each.contact.mean) / each.contact.stddev for target, each in three]
@@ -209,21 +184,6 @@ def test_contacts_beside_the_target_locate_it_within_the_reported_error() -> Non
     truths = [target._bias for target, _ in three]
     errors = [(estimate - true) / spread for (estimate, spread), true in zip(biases, truths, strict=True)]
     assert 0.75 < math.sqrt(np.mean(np.square(errors))) < 1.25
-
-
-def test_no_probe_is_planned_that_would_leave_a_pad_empty() -> None:
-    force = 60.0 / (1.0 + (0.006 / 0.008) ** 2) + PUSH
-    most = empty_pad_offset(force)
-    for bias in (0.0, most - 0.005, most - 0.007):
-        tracker = AlongFilter(PARAMETERS, 0.0, 0.005, bias, 1e-4)
-        tracker.update(LookAlong(0.0, bias, 1e-4, 60.0 + PUSH, 3.0, PUSH, 0.0, 0.0))
-        for plan in tracker.plans(0.004):
-            pull = float(MagnetPull(MAGNET_FORCE).at(np.array(plan.aside), 0.0, 0.0)[0])
-            limit = empty_pad_offset(pull + PUSH)
-            assert not plan.aside or abs(tracker.bias + plan.aside) <= limit
-        asides = {plan.aside for plan in tracker.plans(0.004)}
-        assert (place_of_target._PROBE_OFFSET in asides) == (tracker.bias + place_of_target._PROBE_OFFSET < most)
-        assert -place_of_target._PROBE_OFFSET in asides
 
 
 def test_estimates_that_contradict_the_arms_moves_are_detected() -> None:
@@ -292,29 +252,6 @@ def test_an_unknown_offset_across_follows_from_the_pose_with_both_errors() -> No
     assert not MisalignmentEstimate(math.nan, math.nan, math.nan, math.nan, math.nan, math.nan).complete
 
 
-@pytest.mark.parametrize("off", [0.005, -0.005])
-@pytest.mark.parametrize("degrees", [10.0, -10.0])
-def test_a_lean_that_looks_like_an_offset_along_the_bars_changes_no_verdict(degrees: float, off: float) -> None:
-    """It leaks into the vertical offset by the roll, but not into the offset across the bars."""
-    angle, across = math.radians(degrees), 2e-4
-    for spread in (5e-5, 1e-4, 2e-4, 4e-4):
-        level, leaning = (
-            MisalignmentEstimate(
-                *(angle, 5e-4, (across + x * math.sin(angle)) / math.cos(angle), 5e-4, x, 1e-3),
-                across=across,
-                across_stddev=spread,
-            )
-            for x in (0.001, 0.001 + off)
-        )
-        assert abs(level.vertical - leaning.vertical) > 8e-4
-        assert judge(level, PARAMETERS) is judge(leaning, PARAMETERS)
-        # An offset across that is calculated from the pose is equal, and less sure.
-        worked_out = replace(leaning, across=math.nan, across_stddev=math.nan)
-        assert worked_out.across == pytest.approx(across)
-        # A publisher that does not know the fields leaves zeros: they do not mean an exact offset of 0.
-        assert replace(leaning, across=0.0, across_stddev=0.0).across == pytest.approx(across)
-
-
 def test_a_known_pitch_only_makes_the_verdict_stricter_and_an_unknown_one_changes_nothing() -> None:
     order = [Verdict.SAFE, Verdict.PROBABLY_SAFE, Verdict.TOO_CLOSE, Verdict.CRITICAL]
     for degrees in (0.0, 5.0, 8.0):
@@ -327,31 +264,3 @@ def test_a_known_pitch_only_makes_the_verdict_stricter_and_an_unknown_one_change
             assert ranks == sorted(ranks)
             assert judge(replace(pose, pitch=0.3), PARAMETERS) is judge(pose, PARAMETERS)
             assert judge(replace(pose, pitch_stddev=0.3), PARAMETERS) is judge(pose, PARAMETERS)
-
-
-def contacts(count: int, reported: float) -> list[tuple[float, AxisFilter]]:
-    """The true offset of the last of three contacts, and the filter, of `count` dockings."""
-    random = np.random.default_rng(8)
-    dockings = []
-    for _ in range(count):
-        tracker, place, true = AxisFilter(), 0.0, 0.0
-        for _ in range(3):
-            true = 0.003 - place + random.normal(0.0, DOCKING_JITTER)
-            tracker.update(place, true + random.normal(0.0, math.hypot(reported, GAIN_ERROR * true)), reported)
-            place = tracker.target
-        dockings.append((true, tracker))
-    return dockings
-
-
-@pytest.mark.parametrize("reported", [2e-4, 1.3e-3])
-def test_the_offset_of_a_contact_has_its_true_error(reported: float) -> None:
-    scores = [(true - tracker.contact.mean) / tracker.contact.stddev for true, tracker in contacts(600, reported)]
-    assert np.std(scores) == pytest.approx(1.0, abs=0.12)
-    assert abs(np.mean(scores)) < 0.12
-
-
-def test_the_risk_of_a_contact_matches_the_observed_frequency() -> None:
-    dockings = contacts(600, 1.3e-3)
-    predicted = [tracker.contact.beyond(0.0015) for _, tracker in dockings]
-    observed = [abs(true) > 0.0015 for true, _ in dockings]
-    assert np.mean(predicted) == pytest.approx(np.mean(observed), abs=0.05)

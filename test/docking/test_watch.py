@@ -59,24 +59,6 @@ def test_a_servo_that_keeps_its_place_is_named_before_the_others_drive_on(phase:
     assert not run.observe().torque_enabled
 
 
-def test_a_servo_whose_encoder_freezes_in_the_search_is_named_before_the_arm_docks() -> None:
-    run = charger(coarse=True)
-    reach(run, State.CONTACT)
-    run.run(0.2)
-    read, command, frozen = run.world.servo, run.plant.command_servo, run.world.servo(1)[0]
-
-    def blind(servo: int) -> Any:
-        return read(servo) if servo != 1 else (frozen, 0.0, *read(servo)[2:])
-
-    def drive(servo: int, on: bool, goal: float, *more: float) -> None:
-        command(servo, on, goal if servo != 1 else read(servo)[0] + goal - frozen, *more)
-
-    run.world.servo, run.plant.command_servo = blind, drive  # type: ignore[method-assign]
-    run.until(lambda: not run.observe().torque_enabled, 2.0)
-    assert "servo 2 is farther from its goal" in run.machine.status.message
-    assert outside(run) < 0.0
-
-
 def test_a_target_that_moves_away_does_not_take_the_arm_along() -> None:
     run = quick_charger()
     reach(run, State.MEASURE)
@@ -142,14 +124,6 @@ def test_a_target_nearer_than_told_is_charged_with_the_push_that_is_told(nearer:
     assert outcome.success, outcome.message
     assert outcome.contact_force_min <= run.world.snapshot().push <= outcome.contact_force_max
     assert run.undock().success
-
-
-def test_live_electrodes_do_not_press_on_a_target_nearer_than_told() -> None:
-    place = TargetParameters()
-    run = charger(coarse=True, parameters={"power": "none"}, target=replace(place, z=place.z - 24 * MILLIMETRE))
-    outcome = run.dock()
-    assert outcome.code is Code.NO_CONTACT
-    assert "coordinates" in outcome.message
 
 
 @pytest.mark.parametrize("share", [0.0, rest(0.3)])

@@ -190,27 +190,6 @@ def test_it_drives_moves_nearer_docks_charges_and_comes_home(made: Callable[[Sce
 
 
 @pytest.mark.rest
-def test_a_target_in_another_tf_frame_is_transformed_to_map(robot: Robot, context: Any, spin: Spin) -> None:
-    """A navigator that knows only the frame map is sent to the same place."""
-    broadcaster = spin(Broadcaster(context))
-    active = robot.send(stop_after=60.0)
-    active.reach(Stage.CHARGE)
-    stand = robot.place
-    active.cancel()
-    odom = Place(3.0, -2.0, 0.7)
-    wait_until(lambda: broadcaster.heard, "mission_node")
-    pose = (odom.x, odom.y, 0.0, 0.0, 0.0, math.sin(0.5 * odom.yaw), math.cos(0.5 * odom.yaw))
-    timer = broadcaster.create_timer(0.02, lambda: broadcaster.move(("map", "odom", pose)))
-    origin = Place(0.0, 0.0, -odom.yaw).at(-odom.x, -odom.y)  # of map in odom
-    active = robot.send(stop_after=60.0, frame="odom", at=origin.at(TARGET.x, TARGET.y, TARGET.yaw))
-    active.reach(Stage.CHARGE)
-    assert robot.place.distance(stand) < 1e-6
-    assert robot.place.turn(stand) < 1e-6
-    active.cancel()
-    timer.cancel()
-
-
-@pytest.mark.rest
 def test_the_base_pose_follows_the_charger_mount_in_tf(
     made: Callable[[Scene], Robot], context: Any, spin: Spin
 ) -> None:
