@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from rclpy.context import Context
@@ -17,19 +16,6 @@ from deltacharger_scenes.scene import Scene
 
 if TYPE_CHECKING:
     from deltacharger_sim.charger.simulated_charger import SimulatedCharger
-
-
-@dataclass(frozen=True)
-class Running:
-    """A node of the composition, with its executable's name."""
-
-    name: str
-    spinner: Spinner
-
-    @property
-    def node(self) -> Any:
-        """The node itself."""
-        return self.spinner.node
 
 
 class Composition:
@@ -52,7 +38,7 @@ class Composition:
 
     def __init__(self, scene: Scene, context: Context, namespace: str = "", held: bool = False) -> None:
         self.scene = scene
-        self.nodes: list[Running] = []
+        self.nodes: dict[str, Spinner] = {}
         self.charger: SimulatedCharger | None = None
         self._context = context
         self._namespace = namespace
@@ -71,13 +57,13 @@ class Composition:
 
     def close(self) -> None:
         """Close the nodes in reverse order of their start, then the simulated charger. Safe to call twice."""
-        nodes, self.nodes = self.nodes, []
+        nodes, self.nodes = self.nodes, {}
         charger, self.charger = self.charger, None
         with contextlib.ExitStack() as stack:  # an error in one must not keep the others open
             if charger is not None:
                 stack.callback(charger.stop)
-            for running in nodes:
-                stack.callback(running.spinner.close)
+            for spinner in nodes.values():
+                stack.callback(spinner.close)
 
     def release(self) -> None:
         """Let docking_node command; only if it is held."""
@@ -95,10 +81,7 @@ class Composition:
         Raises:
             KeyError: it is not running.
         """
-        for running in self.nodes:
-            if running.name == name:
-                return running.node
-        raise KeyError(f"{name} is not running; running: {', '.join(r.name for r in self.nodes) or 'nothing'}")
+        return self.nodes[name].node
 
     def ports(self) -> dict[str, str]:
         """Return the ports of the simulated charger by name; empty without one."""
@@ -108,7 +91,7 @@ class Composition:
 
     def failed(self) -> list[str]:
         """Return the nodes whose executor has ended and the emulators that failed; empty if there are none."""
-        broken = [running.name for running in self.nodes if not running.spinner.is_alive()]
+        broken = [name for name, spinner in self.nodes.items() if not spinner.is_alive()]
         if self.charger is not None:
             broken += [f"simulated charger ({error})" for error in self.charger.errors()]
         return broken
@@ -129,7 +112,7 @@ class Composition:
                 use_global_arguments=False,
                 **({"held": True} if self._held and name == "docking_node" else {}),
             )
-            self.nodes.append(Running(name, Spinner(node)))
+            self.nodes[name] = Spinner(node)
 
 
 def load_nodes(scene: Scene) -> None:
@@ -141,7 +124,7 @@ def load_nodes(scene: Scene) -> None:
 
 def describe(composition: Composition) -> str:
     """Return a one-line description of the composition."""
-    names = ", ".join(running.name for running in composition.nodes)
+    names = ", ".join(composition.nodes)
     if composition.charger is not None:
         kind = "simulated"
     else:

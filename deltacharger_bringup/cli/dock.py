@@ -149,7 +149,7 @@ def dock(options: argparse.Namespace) -> Result:
         own = composition
         if own is None and options.record:
             own = stack.enter_context(start(recorder_alone(scene, options.record), context, options.namespace))
-        keepers = [each.node for each in own.nodes if each.name == RECORDER] if own is not None else []
+        keepers = [own.node(RECORDER)] if own is not None and RECORDER in own.nodes else []
         recorder = stack.enter_context(Recorder(context, options.namespace))
         result = _Run(options, scene, request, client, recorder, composition, interrupts).carry_out()
         if own is not None:

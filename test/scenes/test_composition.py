@@ -27,7 +27,7 @@ def test_a_node_that_rejects_its_parameters_ends_the_running_ones(context: Any, 
     composition = Composition(scene, context, namespace)
     with pytest.raises(StartupError, match="did you mean 'standoff'"):
         composition.start()
-    assert composition.nodes == []
+    assert composition.nodes == {}
     assert spinning() == before
 
 
@@ -38,12 +38,12 @@ def test_they_close_in_the_reverse_order_even_if_one_fails(
     closed: list[str] = []
     scene = parse_scene({"nodes": ["mock_servo_node", "kinematics_node", "mock_detector_node"]}, "three")
     composition = Composition(scene, context, namespace).start()
-    for running in composition.nodes:
-        monkeypatch.setattr(running.node, "close", noting(running.node, running.name, closed), raising=False)
+    for name, spinner in composition.nodes.items():
+        monkeypatch.setattr(spinner.node, "close", noting(spinner.node, name, closed), raising=False)
     with pytest.raises(RuntimeError, match="kinematics_node does not close"):
         composition.close()
     assert list(dict.fromkeys(closed)) == list(reversed(scene.start_order()))
-    assert composition.nodes == []
+    assert composition.nodes == {}
 
 
 def noting(node: Any, name: str, closed: list[str]) -> Any:

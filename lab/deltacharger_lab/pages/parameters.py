@@ -119,7 +119,7 @@ def every_node(context: Context, namespace: str) -> Iterator[list[Node]]:
     unset = {"docking_recorder_node": {"scene": ""}, "docking_node": {"target_profiles": []}}  # by the scene
     scene = parse_scene({"nodes": names, "simulation": {}, "parameters": unset}, "parameters")
     with Composition(scene, context, namespace) as composition, ExitStack() as stack:
-        nodes: list[Any] = [running.node for running in composition.nodes]
+        nodes: list[Any] = [spinner.node for spinner in composition.nodes.values()]
         joints = PassiveJointsNode(context=context, namespace=namespace, use_global_arguments=False)
         for node in (_camera(context, namespace), joints):
             stack.callback(node.destroy_node)
