@@ -94,7 +94,7 @@ NODES: dict[str, NodeSpec] = {
     "camera_node": NodeSpec(
         "deltacharger_vision.cameras.camera_node.CameraNode",
         parameters=(
-            "deltacharger_vision.parameters.CameraNodeParameters",
+            "deltacharger_vision.parameters.OakSettings",
             _FRAMES,
         ),
         may_restart=True,

@@ -38,13 +38,6 @@ class OakSettings(Bounded):
 
 
 @dataclass(frozen=True)
-class CameraNodeParameters(OakSettings):
-    """Setup of an OAK-D, or the recording to publish instead."""
-
-    replay: str = words("", "MCAP recording to publish, again and again, instead of a camera")
-
-
-@dataclass(frozen=True)
 class DetectorNodeParameters(Bounded):
     """Operation of electrode_detector_node, and the camera's mount."""
 

@@ -8,7 +8,7 @@ _OF: dict[str, tuple[str, ...]] = {
     "mock_tactile_node": ("serial",),
     "servo_node": ("dynamixel_sdk", "serial"),
     "simulated_charger": ("serial",),
-    "camera_node": ("depthai", "lz4", "mcap", "zstandard"),
+    "camera_node": ("depthai",),
     "simulated_camera_node": ("cv2", "serial"),
     "electrode_detector_node": ("cv2", "tf2_ros"),
     "docking_recorder_node": ("lz4", "mcap", "zstandard"),

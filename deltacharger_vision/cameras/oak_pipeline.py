@@ -13,7 +13,6 @@ import contextlib
 import math
 import threading
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import timedelta
@@ -34,47 +33,11 @@ class CameraUnavailable(VisionError, RuntimeError):
     """No camera, or one without images; the message names it and states what to do."""
 
 
-class ImageSource(ABC):
-    """A thread that delivers images until closed.
+class CameraKeeper:
+    """A thread that keeps one camera open, reconnected whenever it returns, until closed.
 
     Attributes:
         problem: why there are no images; '' while they arrive.
-
-    Args:
-        problem: initial value.
-        on_change: called in its thread whenever `problem` changes.
-    """
-
-    def __init__(self, problem: str, on_change: Callable[[], None]) -> None:
-        self.problem = problem
-        self._on_change = on_change
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name=type(self).__name__, daemon=True)
-
-    def start(self) -> None:
-        """Start delivering images."""
-        self._thread.start()
-
-    def close(self) -> None:
-        """Stop the thread and release its resources. Idempotent."""
-        self._stop.set()
-        if self._thread.ident is not None:
-            self._thread.join()
-
-    @abstractmethod
-    def _run(self) -> None:
-        """Deliver images until `_stop` is set."""
-
-    def _set_problem(self, problem: str) -> None:
-        if problem != self.problem:
-            self.problem = problem
-            self._on_change()
-
-
-class CameraKeeper(ImageSource):
-    """One camera, reconnected whenever it returns.
-
-    Attributes:
         name: of the open camera, or the last one; '' before.
 
     Args:
@@ -83,9 +46,26 @@ class CameraKeeper(ImageSource):
     """
 
     def __init__(self, open_camera: Callable[[], OakCamera], on_change: Callable[[], None]) -> None:
-        super().__init__("searching for the camera", on_change)
+        self.problem = "searching for the camera"
         self.name = ""
-        self._open = open_camera
+        self._open, self._on_change = open_camera, on_change
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
+
+    def start(self) -> None:
+        """Start looking for the camera."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop the thread and release the camera. Idempotent."""
+        self._stop.set()
+        if self._thread.ident is not None:
+            self._thread.join()
+
+    def _set_problem(self, problem: str) -> None:
+        if problem != self.problem:
+            self.problem = problem
+            self._on_change()
 
     def _run(self) -> None:
         backoff = _SHORTEST_BACKOFF

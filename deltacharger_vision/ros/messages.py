@@ -135,7 +135,6 @@ class CameraPublishers:
 
     def __init__(self, node: Node, frame_id: str) -> None:
         self._frame_id = frame_id
-        self._recorded_frame: str | None = None
         self._clock = node.get_clock()
         self._context = node.context
         self._publishers = {
@@ -166,15 +165,6 @@ class CameraPublishers:
     def info(self, intrinsics: Intrinsics) -> None:
         """Publish the calibration alone, stamped now."""
         self._publish(INFO, camera_info_message(intrinsics, _time(self.now()), self._frame_id))
-
-    def recorded(self, kind: str, message: Any, stamp: int) -> None:
-        """Publish a message again with another stamp, ns; its frame is this camera's if it was the first one's."""
-        if self._recorded_frame is None:
-            self._recorded_frame = message.header.frame_id
-        message.header.stamp = _time(stamp)
-        if message.header.frame_id == self._recorded_frame:  # so depth that is not aligned to colour still shows it
-            message.header.frame_id = self._frame_id
-        self._publish(kind, message)
 
     def _publish(self, kind: str, message: Any) -> None:
         if self._context.ok():

@@ -71,8 +71,6 @@ def test_a_scene_is_measured_or_left_out_with_a_reason(tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
     file.write_text("nodes: [camera_node]\n", "utf-8")
     assert "OAK-D" in footprint.make_plan([str(file)]).left_out["mine"]
-    file.write_text("nodes: [camera_node]\nparameters: {camera_node: {replay: shots.mcap}}\n", "utf-8")
-    assert list(footprint.make_plan([str(file)]).scenes) == ["mine"]
 
 
 def test_targets_are_judged_by_the_bench_scene_in_one_process_and_figures_are_medians_with_their_range() -> None:

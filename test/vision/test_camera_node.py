@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""camera_node: images of a camera over real topics, replayed recordings, and its errors."""
+"""camera_node: images of a camera over real topics, its errors, and topics of recordings."""
 
 from __future__ import annotations
 
@@ -9,30 +9,24 @@ from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
-from unittest import mock
 
 import numpy as np
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.qos import qos_profile_sensor_data
-from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CameraInfo, Image
 
-from deltacharger_core.mcap_file import Raw, RecordingError
-from deltacharger_ros import qos
+from deltacharger_core.mcap_file import RecordingError
 from deltacharger_ros.node_support import StartupError
-from deltacharger_vision.cameras.camera_node import CameraNode, RecordingPlayer
+from deltacharger_vision.cameras.camera_node import CameraNode
 from deltacharger_vision.cameras.oak_pipeline import CameraUnavailable, OakImage
 from deltacharger_vision.cameras.ros_formats import color_array, depth_array, from_camera_info
-from deltacharger_vision.images import COLOR, DEPTH, INFO, Intrinsics, RgbdImage
+from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.ros.messages import (
-    camera_info_message,
-    color_message,
-    depth_message,
     stamp_ns,
 )
-from deltacharger_vision.ros.recording import CAMERA_INFO, IMAGE, CameraRecording, CameraTopics, choose_topics
+from deltacharger_vision.ros.recording import CAMERA_INFO, IMAGE, CameraTopics, choose_topics
 
 from ..chargers import Spin, wait_until
 from ..nodes import options
@@ -115,60 +109,9 @@ def test_an_absent_camera_is_reported_with_its_settings(start: Start, client: An
     assert (status.level, status.hardware_id) == (DiagnosticStatus.ERROR, "14442C10")
 
 
-@pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Five images 20 ms apart, depth 3 ms after colour, one camera_info in the middle, all under another namespace."""
-    pytest.importorskip("mcap", reason="replays with deltacharger[record]")
-    from deltacharger_records.recording.mcap_recording import McapWriter, Topic
-
-    kinds = {"/old/color/image_raw": Image, "/old/depth/image_raw": Image, "/old/color/camera_info": CameraInfo}
-    path = tmp_path_factory.mktemp("recording") / "rec.mcap"
-    with McapWriter(path.open("wb"), {name: Topic(name, kind, qos.SENSOR) for name, kind in kinds.items()}) as writer:
-
-        def add(topic: str, message: Any, received: int) -> None:
-            writer.add(Raw(topic, received, stamp, serialize_message(message)))
-
-        for number in range(5):
-            stamp, image = 10**9 + number * 20 * MS, picture(number)
-            now, later = (rclpy.time.Time(nanoseconds=stamp + each).to_msg() for each in (0, 3 * MS))
-            add("/old/color/image_raw", color_message(image.color, now, "other"), stamp)
-            add("/old/depth/image_raw", depth_message(image.depth, later, "other"), stamp + 5)
-            if number == 2:
-                add("/old/color/camera_info", camera_info_message(LENS, now, "other"), stamp + 6)
-    return path
-
-
-def test_a_replay_waits_for_a_subscriber_and_keeps_content_with_new_stamps(recording: Path) -> None:
-    publishers: Any = mock.Mock(now=lambda: 5 * 10**18)
-    publishers.wanted.return_value = False
-    player = RecordingPlayer(CameraRecording(recording), publishers, lambda: None)
-    player.start()
-    wait_until(lambda: publishers.wanted.call_count > 1, "the player to look for subscribers")
-    publishers.recorded.assert_not_called()
-    publishers.wanted.return_value = True
-    wait_until(lambda: publishers.recorded.call_count > 20, "a second pass")
-    player.close()
-    first = [each.args for each in publishers.recorded.call_args_list[:15]]
-    assert [kind for kind, _, _ in first] == [INFO, COLOR, DEPTH] * 5
-    for number, (info, color, depth) in enumerate(zip(*[iter(first)] * 3, strict=True)):
-        when = publishers.now() + number * 20 * MS
-        assert (info[2], color[2], depth[2]) == (when, when, when + 3 * MS)
-        np.testing.assert_array_equal(color_array(color[1]), picture(number).color)
-        assert depth_array(depth[1])[1, 1] == 300 + number
-        assert info[1].k[0] == LENS.fx
-
-
-@pytest.mark.parametrize(
-    ("replay", "noun"), [("none.mcap", "none.mcap"), (__file__, "MCAP"), ("empty.mcap", "images"), ("", "exposure_us")]
-)
-def test_wrong_parameters_stop_the_start(start: Start, tmp_path: Path, replay: str, noun: str) -> None:
-    pytest.importorskip("mcap", reason="replays with deltacharger[record]")
-    from deltacharger_records.recording.mcap_recording import McapWriter, Topic
-
-    topics = {"/color/image_raw": Topic("color/image_raw", Image, qos.SENSOR)}
-    McapWriter((tmp_path / "empty.mcap").open("wb"), topics).close()
-    with pytest.raises(StartupError, match=noun):
-        start(replay=str(tmp_path / replay) if replay else "", rate=60.0, exposure_us=10_000 if replay else 30_000)
+def test_wrong_parameters_stop_the_start(start: Start) -> None:
+    with pytest.raises(StartupError, match="exposure_us"):
+        start(rate=60.0, exposure_us=30_000)
 
 
 ANY = CameraTopics()

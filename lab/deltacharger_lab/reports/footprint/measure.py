@@ -231,12 +231,6 @@ def _start_nodes(started: Started, scene: Scene, ports: dict[str, str]) -> None:
         started.start(name, _NODE.format(module=NODES[name].module), *words)
 
 
-_NEEDS = {
-    "camera_node": ("replay", "an OAK-D camera"),
-}
-"""For nodes that need more than a port: the parameter that replaces it, and its description."""
-
-
 @dataclass(frozen=True)
 class FootprintPlan:
     """One report.
@@ -294,9 +288,8 @@ def make_plan(names: Sequence[str] = (), quick: bool = False, repeats: int | Non
 
 def missing(scene: Scene) -> str:
     """Return what a scene needs beyond emulators; '' for nothing."""
-    for node, (parameter, what) in _NEEDS.items():
-        if node in scene.nodes and not scene.parameters.get(node, {}).get(parameter):
-            return f"{node} needs {what}"
+    if "camera_node" in scene.nodes:
+        return "camera_node needs an OAK-D camera"
     return ""
 
 
