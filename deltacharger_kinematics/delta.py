@@ -27,12 +27,9 @@ def as_vectors(value: ArrayLike, name: str) -> Array:
     """Return `value` as float64 (..., 3).
 
     Raises:
-        ValueError: names the argument; the values are no numbers or ragged, or the last axis is not 3.
+        ValueError: the values are no numbers or ragged, or the last axis is not 3; then it names the argument.
     """
-    try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{name}: {error}; give numbers (..., 3)") from error
+    array = np.asarray(value, dtype=np.float64)
     if array.ndim == 0 or array.shape[-1] != 3:
         raise ValueError(f"{name}: shape {array.shape}; give numbers (..., 3)")
     return array

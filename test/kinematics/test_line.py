@@ -63,15 +63,6 @@ def test_a_line_joins_its_ends_at_rest_and_keeps_every_limit(
     assert PEAK_SPEED * math.dist(start, goal) / line.duration <= speed * (1 + 1e-12)
 
 
-def test_every_waypoint_is_on_the_line_at_the_place_of_its_time() -> None:
-    for start, goal in lines(20):
-        line = plan_line(DELTA, start, goal, 0.12)
-        assert off_line(line.positions, start, goal) < 1e-12
-        share = (line.positions - start) @ (goal - start) / ((goal - start) @ (goal - start))
-        u = line.times / line.duration
-        assert np.allclose(share, 10 * u**3 - 15 * u**4 + 6 * u**5, atol=1e-12)
-
-
 def test_velocities_and_accelerations_are_the_derivatives_of_the_angles() -> None:
     limbs = (
         LimbAdjustment(radius_offset=1e-3, angle_offset=0.03),
