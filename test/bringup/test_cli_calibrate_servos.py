@@ -6,10 +6,11 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from types import MappingProxyType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
+from unittest import mock
 
 import pytest
 
@@ -29,53 +30,17 @@ GAINS = {"torque_constant": 1.3, "position_p_gain": 500, "position_d_gain": 3}
 MEASURED = SimpleNamespace(fit=SimpleNamespace(common=lambda what: (12.0, 0.2)))
 
 
-class Arm:
-    """Replaces `MeasuringArm`."""
-
-    trouble: Mapping[str, str] = MappingProxyType({})
-    servo: Mapping[str, Any] = GAINS
-    released = True
-
-    def __init__(self, *given: Any) -> None:
-        self.is_released = False
-        self.started = False
-
-    def __enter__(self) -> Arm:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self.is_released = self.started and self.released
-
-    def wait_until_ready(self, timeout: float) -> None:
-        self._do("wait")
-
-    def parameters_of(self, name: str) -> Mapping[str, Any]:
-        return self.servo if name == "servo_node" else {}
-
-    def start(self) -> None:
-        self.started = True
-        self._do("start")
-
-    def measure(self) -> Any:
-        self._do("measure")
-        return MEASURED
-
-    def retire(self, stiffness: float) -> None:
-        self._do("retire")
-
-    def _do(self, what: str) -> None:
-        if what in self.trouble:
-            raise ArmError(self.trouble[what])
-
-
 @pytest.fixture
-def arm(monkeypatch: pytest.MonkeyPatch) -> type[Arm]:
-    class OneArm(Arm):
-        pass
-
-    monkeypatch.setattr(measuring, "MeasuringArm", OneArm)
+def arm(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Replaces the `MeasuringArm`: its methods can be made to fail."""
+    arm = mock.MagicMock(is_released=False, releases=True)
+    arm.__enter__.return_value = arm
+    arm.__exit__.side_effect = lambda *end: setattr(arm, "is_released", arm.start.called and arm.releases)
+    arm.parameters_of.side_effect = lambda name: GAINS if name == "servo_node" else {}
+    arm.measure.return_value = MEASURED
+    monkeypatch.setattr(measuring, "MeasuringArm", lambda *given: arm)
     monkeypatch.setattr(command, "measure_servos", lambda body, task, progress: body.measure())
-    return OneArm
+    return arm
 
 
 def measured() -> Any:
@@ -85,29 +50,28 @@ def measured() -> Any:
 
 
 @pytest.mark.parametrize(
-    ("where", "released", "is_off"),
-    [("wait", True, False), ("start", True, True), ("measure", True, True), ("measure", False, False)],
+    ("where", "releases", "is_off"),
+    [("wait_until_ready", True, False), ("measure", True, True), ("measure", False, False)],
 )
-def test_torque_is_reported_off_only_if_it_was_switched_off(
-    arm: type[Arm], where: str, released: bool, is_off: bool
-) -> None:
-    arm.trouble, arm.released = {where: "docking_node is at work"}, released
+def test_torque_is_reported_off_only_if_it_was_switched_off(arm: Any, where: str, releases: bool, is_off: bool) -> None:
+    arm.releases, getattr(arm, where).side_effect = releases, ArmError("docking_node is at work")
     with pytest.raises(CommandError, match="docking_node") as caught:
         measured()
     assert (caught.value.exit_code, "the torque is off" in str(caught.value)) == (FAILED, is_off)
 
 
-def test_a_failed_way_home_keeps_the_measurement(arm: type[Arm], capsys: pytest.CaptureFixture[str]) -> None:
-    arm.trouble = {"retire": "cannot go that way"}
+def test_a_failed_way_home_keeps_the_measurement(arm: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    arm.retire.side_effect = ArmError("cannot go that way")
     task, gains, found = measured()
     assert (task.torque_constant, gains, found) == (1.3, Gains(500, 3), MEASURED)
     assert "cannot go that way" in capsys.readouterr().err
 
 
-def test_unknown_gains_are_refused_before_anything_moves(arm: type[Arm]) -> None:
-    arm.servo, arm.trouble = {}, {"start": "the arm was moved"}
+def test_unknown_gains_are_refused_before_anything_moves(arm: Any) -> None:
+    arm.parameters_of.side_effect = lambda name: {}
     with pytest.raises(CommandError, match="gains"):
         measured()
+    arm.start.assert_not_called()
 
 
 WORLD = {
