@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 _TRIES = 3  # at one docking with a retriable failure; other failures end the command
 _PAUSE = 3.0  # s before the next try, so that a silent device may recover
 _FRAME = 1.0 / 120.0  # s
+_DWELL = 0.5  # s from rest in contact to the first frame
 
 
 def add_record(parser: argparse.ArgumentParser) -> None:
@@ -55,11 +56,7 @@ def add_record(parser: argparse.ArgumentParser) -> None:
         add(flag, type=MILLIMETRES, default=default, metavar="MM", help=f"({default:g})")
     add = parser.add_argument_group("for the complete data set").add_argument
     add("--rig", type=integer(0, 2**31 - 1), default=0, metavar="N", help="number of this charger (0)")
-    add("--sensor", default="", metavar="ID", help="id of the charger's pads, stored in the data set")
-    add("--frames", type=integer(1, 240), default=1, metavar="N", help="frames averaged in each row (1)")
-    add("--rows", type=integer(1, 240), default=1, metavar="N", help="rows of each docking (1)")
-    add("--threshold", type=between(0.0, 9.0), default=0.25, metavar="N", help="smaller forces count as 0 (0.25)")
-    add("--dwell-s", type=between(0.0, 60.0), default=0.5, metavar="S", help="time to rest first (0.5)")
+    add("--frames", type=integer(1, 240), default=1, metavar="N", help="frames averaged in each docking (1)")
 
 
 def record(options: argparse.Namespace) -> Result:
@@ -69,10 +66,9 @@ def record(options: argparse.Namespace) -> Result:
     from deltacharger_records.datasets.journal import Journal, Mismatch, Settings
     from deltacharger_tactile.errors import DatasetError
 
-    shared = ("rig", "sensor", "frames", "rows", "threshold", "dwell_s")
     with wrong_input(Mismatch, DatasetError, file=options.out):
         journal = Journal(out)
-        recording = _Recording(journal, part, Settings(**{name: getattr(options, name) for name in shared}))
+        recording = _Recording(journal, part, Settings(options.rig, options.frames))
         if recording.left():
             try:
                 recording.record(options)
@@ -245,9 +241,9 @@ class _Recording:
 
         settings, commands = self._settings, self._commands()
         keeper = SessionKeeper(charger, self._journal, self._part, settings, numbers, self._report)
-        places, holding = [commands[number] for number in numbers], settings.frames * settings.rows * _FRAME
+        places, holding = [commands[number] for number in numbers], settings.frames * _FRAME
         try:
-            return charger.run(machine, TouchSession(places, settings.dwell_s, holding, keeper))
+            return charger.run(machine, TouchSession(places, _DWELL, holding, keeper))
         finally:
             try:
                 keeper.close()

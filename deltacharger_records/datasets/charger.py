@@ -88,14 +88,13 @@ class SessionKeeper:
 
     def has_frames(self) -> bool:
         """Take the new frames; TactileStale if they are unusable."""
-        wanted, frames = self._settings.frames * self._settings.rows, self._charger.frames
+        wanted, frames = self._settings.frames, self._charger.frames
         self._frames += [_pads(frame) for frame in frames[len(self._frames) : wanted]]
         return len(self._frames) == wanted
 
     def keep(self, touch: Rested) -> None:
         """Write the docking in a separate thread."""
         target = self._part.target
-        shape = (self._settings.rows, self._settings.frames, 2, _SIDE, _SIDE)
         docking = Docking(
             number=self._number,
             session=self._session,
@@ -103,7 +102,7 @@ class SessionKeeper:
             x=target[0] - touch.position[0],
             y=target[1] - touch.position[1],
             current=touch.current,
-            frames=np.stack(self._frames).reshape(shape).mean(axis=1),
+            pads=np.mean(self._frames, axis=0),
         )
         self._writing = self._writer.submit(self._write, docking)
 

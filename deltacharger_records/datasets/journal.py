@@ -18,6 +18,8 @@ from deltacharger_core.files import atomic_write
 from deltacharger_records.datasets.session import SUBSETS, CommandedPose, Part
 from deltacharger_tactile.dataset import VERSION, Dataset
 
+THRESHOLD = 0.25
+"""Smaller forces (N) count as 0, as for the estimator."""
 _ROWS = [item.name for item in fields(Dataset) if item.name != "meta"]
 
 
@@ -27,20 +29,12 @@ class Settings:
 
     Attributes:
         rig: number of the device.
-        sensor: name of its pads.
         frames: averaged in each row.
-        rows: of each docking.
-        threshold: readings below it become 0, N.
-        dwell_s: from rest in contact to the first frame, s.
         simulated: whether the charger was simulated; None = not known.
     """
 
     rig: int
-    sensor: str
     frames: int
-    rows: int
-    threshold: float
-    dwell_s: float
     simulated: bool | None = None
 
 
@@ -54,7 +48,7 @@ class Docking:
         pose: commanded pose of the target in end_effector.
         x, y: the same offsets by the arm's joints in contact, m.
         current: contact current, A.
-        frames: (rows, 2, 10, 10) float32 N, left and right, tared, not thresholded; NaN where dead.
+        pads: (2, 10, 10) float32 N, left and right, tared, not thresholded; NaN where dead.
     """
 
     number: int
@@ -63,7 +57,7 @@ class Docking:
     x: float
     y: float
     current: float
-    frames: NDArray[np.float32]
+    pads: NDArray[np.float32]
 
 
 class Mismatch(RuntimeError):
@@ -71,7 +65,7 @@ class Mismatch(RuntimeError):
 
 
 class Journal:
-    """The data set in a file.
+    """The data set in a file: one row for each docking.
 
     Args:
         out: of the data set, F.npz.
@@ -149,7 +143,7 @@ class Journal:
         name, poses = part.name, len(part.poses())
         parts = {**self._parts, name: {**asdict(part), "name": name, "of": poses, "numbers": sorted(self.done(part))}}
         parts[name]["numbers"] += [docking.number]
-        rows = _rows(docking, part, settings, 0 if self.data is None else 1 + int(self.data.attempt.max()))
+        rows = _row(docking, part, settings, 0 if self.data is None else 1 + int(self.data.attempt.max()))
         if self.data is not None:
             rows = {each: np.concatenate([getattr(self.data, each), rows[each]]) for each in _ROWS}
         data = Dataset(**rows, meta=self._meta(parts, settings))
@@ -164,6 +158,7 @@ class Journal:
             "protocol": "recorded",
             "recorded": True,
             **asdict(settings),
+            "threshold": THRESHOLD,
             "rigs": [settings.rig],
             "package": package_version(),
             "from": now if self.data is None else self.data.meta["from"],
@@ -172,24 +167,25 @@ class Journal:
         }
 
 
-def _rows(docking: Docking, part: Part, settings: Settings, attempt: int) -> dict[str, NDArray[Any]]:
-    """Return the rows of a docking.
+def _row(docking: Docking, part: Part, settings: Settings, attempt: int) -> dict[str, NDArray[Any]]:
+    """Return the row of a docking.
 
     Board tare and total contact force are unknown: both are NaN. So is the angle in contact. x and y in contact come
     from the arm's joints: unlike the command, they include the offset that friction leaves.
     """
-    count, dead = len(docking.frames), np.isnan(docking.frames)
-    frames = np.where(dead | (docking.frames < settings.threshold), 0.0, docking.frames).astype(np.float32)
+    pads = docking.pads[None]
+    dead = np.isnan(pads)
+    pads = np.where(dead | (pads < THRESHOLD), 0.0, pads).astype(np.float32)
     values = {"attempt": attempt, "session": docking.session, "rig": settings.rig, "subset": SUBSETS[part.set]}
     known = {**asdict(docking.pose), "current": docking.current, "force": math.nan}
     return {
-        "left": frames[:, 0],
-        "right": frames[:, 1],
-        "tare": np.full(frames.shape, np.nan, dtype=np.float32),
+        "left": pads[:, 0],
+        "right": pads[:, 1],
+        "tare": np.full(pads.shape, np.nan, dtype=np.float32),
         "dead": dead,
-        "contact_pose": np.tile((docking.x, docking.y, math.nan), (count, 1)),
-        **{name: np.full(count, value, dtype=np.int64) for name, value in values.items()},
-        **{name: np.full(count, value, dtype=np.float64) for name, value in known.items()},
+        "contact_pose": np.array([(docking.x, docking.y, math.nan)]),
+        **{name: np.array([value], dtype=np.int64) for name, value in values.items()},
+        **{name: np.array([value], dtype=np.float64) for name, value in known.items()},
     }
 
 

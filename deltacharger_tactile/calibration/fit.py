@@ -292,7 +292,7 @@ def fit(dockings: KnownDockings, model: PoseEstimator) -> PadFit:
         raise SensorCalibrationError(
             f"rig {dockings.rig}",
             f"the data lack readings below {dockings.threshold:g} N, the robot needs {model.threshold:g} N and up; "
-            f"record or generate with --threshold {model.threshold:g}",
+            f"generate with --threshold {model.threshold:g}",
         )
     made = TactileCalibration(dead=find(dockings).dead, rig=dockings.rig, model=model.name, dockings=len(dockings))
     pose, _, usable = predict(model, made, dockings.frames)

@@ -80,17 +80,17 @@ def answer(process: Process, code: int, number: int | None = None) -> dict[str, 
 def test_a_set_makes_one_file_of_rows_felt_at_the_commanded_places(
     record: Recorder, charger: Recorded, tmp_path: Path
 ) -> None:
-    shape = ("--frames", "3", "--rows", "2", "--rig", "7")
+    shape = ("--frames", "3", "--rig", "7")
     position = ("--set", "position", "--repeat", "1", "--offsets-mm", "-5", "5", *shape)
     result = answer(record(*position), DONE)
-    assert (result["dockings"], result["remaining"], result["n"], result["simulated"]) == (4, 0, 8, True)
+    assert (result["dockings"], result["remaining"], result["n"], result["simulated"]) == (4, 0, 4, True)
     charger.assert_safe()
     contacts = charger.world.record.contacts
     again = record(*position, "--namespace", "nobody_here")  # a complete set needs no charger
     assert answer(again, DONE)["recorded"] == 0
     assert charger.world.record.contacts == contacts
     data = Dataset.load(tmp_path / "F.npz")
-    assert list(data.attempt) == [0, 0, 1, 1, 2, 2, 3, 3]
+    assert list(data.attempt) == [0, 1, 2, 3]
     assert (set(data.subset), set(data.rig), data.threshold) == ({SUBSET_POSITION}, {7}, 0.25)
     places = {(round(1e3 * x), round(1e3 * y)) for x, y in zip(data.horizontal, data.vertical, strict=True)}
     assert places == {(x, y) for x in (-5, 5) for y in (-5, 5)}

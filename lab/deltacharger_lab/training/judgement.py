@@ -67,7 +67,7 @@ def evaluate_pose(model: TrainablePoseEstimator, data: Dataset) -> dict[str, Any
         raise DatasetError(
             "pose",
             f"the data are cut at {data.threshold:g} N and the model needs readings from {model.threshold:g} N on; "
-            f"generate or record them with --threshold {model.threshold:g} or less",
+            f"generate them with --threshold {model.threshold:g} or less",
         )
     left, right = data.robot_frames()
     estimate = model.predict(left, right)
