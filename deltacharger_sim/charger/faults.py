@@ -12,7 +12,7 @@ import itertools
 import logging
 import math
 import threading
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -62,7 +62,6 @@ class FaultOrder:
 
 
 Undo = Callable[[], Any]
-Apply = Callable[[Hardware, FaultOrder], "Undo | None"]
 
 
 @dataclass(frozen=True)
@@ -95,6 +94,7 @@ class Kind:
     Attributes:
         text: description.
         apply: causes it, and returns the function that ends it.
+        given: its further arguments.
         lasts: whether it lasts until it is ended; else it is momentary.
         servo: ONE, SOME, or '' if it affects no servo.
         amount: None if it has no amount.
@@ -102,14 +102,15 @@ class Kind:
     """
 
     text: str
-    apply: Apply
+    apply: Callable[..., Undo | None]
+    given: tuple[Any, ...] = ()
     lasts: bool = True
     servo: str = ""
     amount: Amount | None = None
     several: bool = False
 
 
-def _share(device: str, kind: str, hardware: Hardware, order: FaultOrder) -> Undo:
+def _share(hardware: Hardware, order: FaultOrder, device: str, kind: str) -> Undo:
     """Damage the given share of the packets from "servos" or "board"."""
     faults = getattr(hardware, device).faults
     rates = faults.rate_of.setdefault(order.servo, {}) if order.servo else faults.rate
@@ -124,7 +125,7 @@ def _servo_missing(hardware: Hardware, order: FaultOrder) -> Undo:
     return lambda: hardware.servos.faults.missing.discard(order.servo)
 
 
-def _wire(device: str, name: str, hardware: Hardware, order: FaultOrder) -> Undo:
+def _wire(hardware: Hardware, order: FaultOrder, device: str, name: str) -> Undo:
     """Delay the wire to "servos" or "board" by the amount, or block one direction."""
     faults = getattr(hardware, device).faults
     before = getattr(faults, name)
@@ -132,11 +133,11 @@ def _wire(device: str, name: str, hardware: Hardware, order: FaultOrder) -> Undo
     return lambda: setattr(faults, name, before)
 
 
-def _servo_error(bit: int, hardware: Hardware, order: FaultOrder) -> None:
+def _error(hardware: Hardware, order: FaultOrder, bit: int) -> None:
     hardware.servos.alter(order.place, lambda servo: servo.raise_error(1 << bit))
 
 
-def _servo_moment(what: str, hardware: Hardware, order: FaultOrder) -> None:
+def _servo_moment(hardware: Hardware, order: FaultOrder, what: str) -> None:
     """Let a servo do something of itself: reboot, or trip its watchdog."""
     hardware.servos.alter(order.place, lambda servo: getattr(servo, what)(order.now))
 
@@ -149,23 +150,27 @@ def _servo_undervoltage(hardware: Hardware, order: FaultOrder) -> Undo:
     return lambda: hardware.servos.alter(order.place, functools.partial(limit, math.inf))
 
 
-def _servo_register(name: str, values: Mapping[int, int], hardware: Hardware, order: FaultOrder) -> Undo:
-    """Set a register to what the amount means."""
-    before, value = 0, values[round(order.amount)]
+def _register(hardware: Hardware, order: FaultOrder, name: str) -> Undo:
+    """Set the register "baud" or "id" to what the amount means."""
+    number, before = round(order.amount), []
 
     def change(servo: ServoFirmware) -> None:
-        nonlocal before
-        before = servo.table.get(name)
-        servo.table.set(name, value)
+        before.append(servo.table.get(name))
+        servo.table.set(name, _SPEEDS[number] if name == "baud" else number)
 
     hardware.servos.alter(order.place, change)
-    return lambda: hardware.servos.alter(order.place, lambda servo: servo.table.set(name, before))
+    return lambda: hardware.servos.alter(order.place, lambda servo: servo.table.set(name, before[0]))
 
 
-def _unplugged(port: str, hardware: Hardware, order: FaultOrder) -> Undo:
+def _unplugged(hardware: Hardware, order: FaultOrder, port: str) -> Undo:
     terminal: PseudoTerminal = getattr(hardware, f"{port}_terminal")
     terminal.unplug()
     return terminal.replug
+
+
+def _board_moment(hardware: Hardware, order: FaultOrder, what: str) -> None:
+    """Let the board boot, or trip with a fault code."""
+    getattr(hardware.board, what)(order.amount)
 
 
 def _board_dead_taxel(hardware: Hardware, order: FaultOrder) -> Undo:
@@ -198,85 +203,42 @@ _BOOT = Amount("a boot of 0 to 10 s", 0.0, 0.0, 10.0)
 
 KINDS: dict[str, Kind] = {
     "servo_missing": Kind("the servo loses its supply, and with it torque and set-up", _servo_missing, servo=ONE),
-    "servo_reboot": Kind(
-        "the servo restarts by itself", functools.partial(_servo_moment, "reboot"), lasts=False, servo=ONE
-    ),
+    "servo_reboot": Kind("the servo restarts by itself", _servo_moment, ("reboot",), False, ONE),
     **{
-        f"servo_{name}": Kind(
-            f"the servo reports the hardware error '{name}', until it is rebooted",
-            functools.partial(_servo_error, bit),
-            lasts=False,
-            servo=ONE,
-        )
+        f"servo_{name}": Kind(f"the servo reports the error '{name}', until it is rebooted", _error, (bit,), False, ONE)
         for name, bit in _HARDWARE_ERRORS.items()
     },
     "servo_undervoltage": Kind(
-        "the servo's supply sags to `amount` V; its latched error remains",
-        _servo_undervoltage,
-        servo=ONE,
-        amount=_VOLTS,
+        "the servo's supply sags to `amount` V; its latched error remains", _servo_undervoltage, (), True, ONE, _VOLTS
     ),
     "servo_watchdog": Kind(
-        "the servo stops as if commands no longer arrived",
-        functools.partial(_servo_moment, "trip_watchdog"),
-        lasts=False,
-        servo=ONE,
+        "the servo stops as if commands no longer arrived", _servo_moment, ("trip_watchdog",), False, ONE
     ),
     "servo_wrong_baud": Kind(
-        "the servo listens at `amount` bit/s and ignores any other speed",
-        functools.partial(_servo_register, "baud", _SPEEDS),
-        servo=ONE,
-        amount=_SPEED,
+        "the servo listens at `amount` bit/s and ignores any other speed", _register, ("baud",), True, ONE, _SPEED
     ),
     "servo_duplicate_id": Kind(
-        "the servo takes the id `amount`, and replies of both collide",
-        functools.partial(_servo_register, "id", {number: number for number in _IDS}),
-        servo=ONE,
-        amount=_ID,
+        "the servo takes the id `amount`, and replies of both collide", _register, ("id",), True, ONE, _ID
     ),
-    "servo_deaf": Kind(
-        "nothing reaches the servos; they stop after 0.12 s", functools.partial(_wire, "servos", "deaf")
-    ),
-    "servo_delay": Kind(
-        "every reply of the servos arrives `amount` s late", functools.partial(_wire, "servos", "delay"), amount=_DELAY
-    ),
-    "servo_unplugged": Kind("the servo port disappears", functools.partial(_unplugged, "servo")),
-    **{
-        f"servo_{name}": Kind(
-            f"a share `amount` of the servos' replies is {text}",
-            functools.partial(_share, "servos", name),
-            servo=SOME,
-            amount=_SHARE,
-        )
-        for name, text in _DAMAGE.items()
-    },
-    "board_reboot": Kind(
-        "the board boots, in `amount` s", lambda to, how: to.board.reboot(how.amount), lasts=False, amount=_BOOT
-    ),
-    "board_trip": Kind(
-        "the power stage opens with fault `amount`",
-        lambda to, how: to.board.trip(round(how.amount)),
-        lasts=False,
-        amount=_CODE,
-    ),
+    "servo_deaf": Kind("nothing reaches the servos; they stop after 0.12 s", _wire, ("servos", "deaf")),
+    "servo_delay": Kind("replies of the servos arrive `amount` s late", _wire, ("servos", "delay"), amount=_DELAY),
+    "servo_unplugged": Kind("the servo port disappears", _unplugged, ("servo",)),
+    "board_reboot": Kind("the board boots, in `amount` s", _board_moment, ("reboot",), False, amount=_BOOT),
+    "board_trip": Kind("the power stage opens with fault `amount`", _board_moment, ("trip",), False, amount=_CODE),
     "board_dead_taxel": Kind("taxel `amount` dies", _board_dead_taxel, amount=_TAXEL, several=True),
-    "board_silent": Kind("nothing leaves the board", functools.partial(_wire, "board", "silent")),
-    "board_deaf": Kind("nothing reaches the board", functools.partial(_wire, "board", "deaf")),
-    "board_delay": Kind(
-        "every packet of the board arrives `amount` s late",
-        functools.partial(_wire, "board", "delay"),
-        amount=_DELAY,
-    ),
-    "board_unplugged": Kind("the board's port disappears", functools.partial(_unplugged, "board")),
+    "board_silent": Kind("nothing leaves the board", _wire, ("board", "silent")),
+    "board_deaf": Kind("nothing reaches the board", _wire, ("board", "deaf")),
+    "board_delay": Kind("packets of the board arrive `amount` s late", _wire, ("board", "delay"), amount=_DELAY),
+    "board_unplugged": Kind("the board's port disappears", _unplugged, ("board",)),
+    "target_port": Kind("the target's port behaves as row `amount` of docs/targets.md", _target_port, amount=_ROW),
     **{
-        f"board_{name}": Kind(
-            f"a share `amount` of the board's packets is {text}",
-            functools.partial(_share, "board", name),
-            amount=_SHARE,
+        f"{device}_{name}": Kind(f"a share `amount` of {whose} is {text}", _share, (to, name), True, servo, _SHARE)
+        for device, to, whose, servo in (
+            ("servo", "servos", "the servos' replies", SOME),
+            ("board", "board", "the board's packets", ""),
         )
         for name, text in _DAMAGE.items()
     },
-    "target_port": Kind("the target's port behaves as row `amount` of docs/targets.md", _target_port, amount=_ROW),
 }
 """Every fault by name."""
 
@@ -375,7 +337,7 @@ class Faults:
         with self._condition:
             self._end(fault.key)
             now = self._clock()
-            undo = kind.apply(self._hardware, FaultOrder(fault.whom, fault.how_much, now))
+            undo = kind.apply(self._hardware, FaultOrder(fault.whom, fault.how_much, now), *kind.given)
             if undo is None:
                 return
             until = now + fault.last if fault.last else float("inf")

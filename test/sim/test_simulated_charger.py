@@ -71,7 +71,7 @@ def test_a_scenes_faults_begin_and_end_on_schedule(tmp_path: Path) -> None:
 def test_a_failing_fault_is_logged_and_the_others_occur(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    def fail(hardware: Hardware, order: FaultOrder) -> None:
+    def fail(hardware: Hardware, order: FaultOrder, *given: object) -> None:
         raise OSError("no such cable")
 
     monkeypatch.setitem(KINDS, "servo_unplugged", replace(KINDS["servo_unplugged"], apply=fail))
