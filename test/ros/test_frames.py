@@ -221,6 +221,7 @@ def test_the_default_is_not_used_while_tf_may_still_arrive(robot: Robot, make: M
 def test_without_tf_nothing_waits_after_the_start_and_base_pose_is_logged_once(
     context: Any, namespace: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
+    transforms()
     node = Node("asker", **options(context, namespace))
     frames = Frames(node, TransformParameters(transform_timeout=0.2), "base_link", USUAL)
     began = time.monotonic()
