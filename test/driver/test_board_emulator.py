@@ -23,7 +23,7 @@ from deltacharger_driver.board.protocol import (
 from deltacharger_driver.emulators.power import PortParameters, StageParameters, TargetPort
 from deltacharger_driver.packets import Packet
 
-from .board_bench import CLOSE, LIMITS, Bench, acks, tactile
+from .board_bench import LIMITS, Bench, acks, tactile
 
 PROBE, CONTACTOR = PacketType.PROBE, PacketType.CONTACTOR
 OPEN, CLEAR_WELD = b"\0", b"\2"
@@ -107,19 +107,6 @@ def test_a_weld_replaces_every_fault_and_none_replaces_it() -> None:
     assert bench.board.fault == BoardFault.CONTACTOR_WELDED
 
 
-def test_clearing_a_weld_clears_nothing_else() -> None:
-    bench = Bench().closed()
-    assert bench.error(CONTACTOR, CLEAR_WELD) == 4
-    assert bench.board.contactor_commanded
-    bench.board.trip(BoardFault.OVER_CURRENT)
-    bench.plant.resistance = math.inf
-    bench.run(0.1)
-    assert bench.error(CONTACTOR, CLEAR_WELD) == 4
-    assert bench.board.fault == BoardFault.OVER_CURRENT
-    bench.send(CONTACTOR, OPEN)
-    assert bench.error(CONTACTOR, CLEAR_WELD) == 0  # there is none: an answer that was lost is asked for again
-
-
 @pytest.mark.parametrize(
     ("port", "dead"),
     [
@@ -152,17 +139,6 @@ def test_an_opening_ends_a_running_probe_even_if_another_follows_it() -> None:
     packets = bench.send_together((CONTACTOR, OPEN), (PROBE, b""))
     assert answers(packets) == [(CONTACTOR, 0, first + 1), (PROBE, 4, first)]
     assert answers(bench.run(0.3)) == [(PROBE, 0, first + 2)]
-
-
-def test_a_close_ends_a_running_probe_before_the_battery_is_connected() -> None:
-    bench = Bench()
-    bench.beating = True
-    assert bench.probe().error == 0
-    bench.send(PROBE)
-    probing = bench.sequence
-    assert answers(bench.send(CONTACTOR, CLOSE)) == [(CONTACTOR, 0, probing + 1), (PROBE, 4, probing)]
-    assert acks(bench.run(0.4)) == []
-    assert bench.power().contactor_closed
 
 
 def charging(port: dict[str, float], **limits: float) -> Bench:

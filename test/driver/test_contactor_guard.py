@@ -389,32 +389,3 @@ def test_a_close_needs_the_port_that_its_limits_expect(
         lease.probed(resistance, voltage, 0.0)
         with contextlib.nullcontext() if allowed else pytest.raises(LeaseRefused):
             lease.take("dock", LEASE, 0.1, limits=LIMITS._replace(dead=expects_dead))
-
-
-def test_a_lapsed_lease_refuses_all_until_opened() -> None:
-    lease = ContactorLease()
-    lease.probed(math.nan, 24.0, 0.0)
-    lease.take("dock", 0.25, 0.0, limits=LIMITS)
-    assert not lease.has_lapsed(0.249)
-    assert lease.has_lapsed(0.25)
-    assert not lease.is_live(0.25)
-    for holder in ("dock", "other"):
-        with pytest.raises(LeaseRefused, match="lapsed"):
-            lease.take(holder, 0.25, 0.3, limits=LIMITS)
-    lease.opened()
-    assert not lease.has_lapsed(0.4)
-
-
-def test_every_opening_voids_the_probe_and_the_lease() -> None:
-    lease = ContactorLease()
-    lease.probed(math.nan, 24.0, 0.0)
-    lease.take("dock", 0.25, 0.0, "secret", LIMITS)
-    lease.opened()
-    assert lease.holder == ""
-    assert lease.openings == 1
-    assert math.isinf(lease.probe_age(0.1))
-    assert lease.target_voltage == 24.0  # still known, but void
-    with pytest.raises(LeaseRefused, match="since the last opening"):
-        lease.take("dock", 0.25, 0.1, limits=LIMITS)
-    lease.probed(math.nan, 24.0, 0.2)
-    lease.take("other", 0.25, 0.3, "another token", LIMITS)

@@ -188,12 +188,6 @@ def test_what_other_software_left_in_a_register_that_acts_on_motion_is_overwritt
         bus.open()
 
 
-def test_a_pending_registered_write_is_found_at_the_set_up(closed: ServoBus, emulator: ServoBusEmulator) -> None:
-    emulator.servo(3).table.set("registered", 1)
-    with pytest.raises(HandshakeError, match=r"servo 3.*registered = 1.*restart it"):
-        closed.open()
-
-
 def test_two_servos_with_one_id_are_suggested_as_a_cause(closed: ServoBus, emulator: ServoBusEmulator) -> None:
     emulator.faults.rate_of[2] = {"corrupt": 1.0}
     with pytest.raises(HandshakeError, match="two servos with this id"):

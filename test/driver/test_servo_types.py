@@ -147,20 +147,6 @@ def test_a_torque_becomes_a_current_by_the_types_constant_unless_one_is_set(
         controller.close()
 
 
-@KINDS
-def test_the_limits_demanded_are_the_types_own(make: Callable[[ServoType], Arm], kind: ServoType) -> None:
-    arm = make(kind)
-    least = current_to_counts(kind.stall_current, kind)
-    arm.emulator.servo(1).table.set("current_limit", least - 1)
-    arm.emulator.servo(3).table.set("temperature_limit", kind.temperature_limit + 1)
-    with pytest.raises(HandshakeError) as caught:
-        arm.bus().open()
-    assert [fault[:7] for fault in caught.value.faults] == ["servo 1", "servo 3"]
-    assert f"{least} to {kind.current_limit}; " in caught.value.faults[0]
-    assert f"raise it to {kind.current_limit} " in caught.value.faults[0]
-    assert f"60 to {kind.temperature_limit}" in caught.value.faults[1]
-
-
 def test_a_bound_beyond_the_types_registers_is_refused_at_the_set_up(make: Callable[[ServoType], Arm]) -> None:
     with pytest.raises(RangeError):
         make(XM430_W350).bus(current_max=4.0).open()

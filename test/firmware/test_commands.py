@@ -12,43 +12,19 @@ import pytest
 
 from deltacharger_driver.board import protocol
 from deltacharger_driver.board.protocol import (
-    FLAG_TARED,
     AckError,
     PacketType,
-    decode_samples,
     encode_close,
     encode_limit,
 )
 
-from .bench import LIMITS, MS, Bench, tactile
+from .bench import LIMITS, MS, Bench
 
 NewBench = Callable[..., Bench]
 
 
-def frame(bench: Bench) -> tuple[int, np.ndarray[tuple[int, ...], np.dtype[np.float32]]]:
-    """Flags and forces of the next frame."""
-    bench.send((PacketType.START, b""))
-    packet = tactile(bench.run(20 * MS))[-1]
-    return packet.flags, np.ravel(decode_samples(packet.payload))
-
-
 def load(bench: Bench, forces: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> None:
     bench.set(f"pads {forces.astype('<f4').tobytes().hex()}")
-
-
-def test_tare_averages_subtracts_and_clips(new_bench: NewBench) -> None:
-    bench = new_bench(noise=0.1, offset=0)
-    resting = np.linspace(0.0, 0.6, 200)
-    load(bench, resting)
-    assert bench.ask(PacketType.TARE, wait=27 * MS + 1 * MS).error == 0
-    bench.set("noise 0")
-    load(bench, resting + 2.0)
-    flags, forces = frame(bench)
-    assert flags == FLAG_TARED
-    assert np.abs(forces - 2.0).max() < 6 * 0.1 / math.sqrt(8)
-    assert np.std(forces) == pytest.approx(0.1 / math.sqrt(8), rel=0.3)
-    load(bench, resting - 1.0)
-    assert frame(bench)[1].max() == 0.0
 
 
 @pytest.mark.parametrize(("force", "taxels", "error"), [(0.999, 1, 0), (1.001, 1, 4), (math.nan, 43, 0)])

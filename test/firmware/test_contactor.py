@@ -50,26 +50,6 @@ def test_a_slow_poll_opens_between_90_and_100_ms(new_bench: NewBench, period: in
     bench.check(contactor=0, fault=BoardFault.HEARTBEAT_LOST)
 
 
-def test_samplings_between_two_polls_do_not_delay_the_opening(new_bench: NewBench) -> None:
-    bench = new_bench(poll_period=12 * MS)
-    for scan in range(2000, 4500, 250):
-        bench.set("scan_time 0")
-        bench.charge(200 * MS)
-        bench.set(f"scan_time {scan}")
-        bench.send((PacketType.START, b""))
-        bench.run(scan)
-        bench.beat(last=True)
-        heard = bench.state("now")
-        while bench.state("contactor"):
-            bench.send((PacketType.TARE, b""))
-            bench.run(5 * MS)
-        assert 90 * MS <= bench.state("switched_off") - heard <= 100 * MS
-        bench.send((PacketType.STOP, b""))
-        bench.now = int(bench.state("now"))
-        bench.run(200 * MS)
-        bench.open()
-
-
 def test_a_heartbeat_lost_during_precharge_also_opens(bench: Bench) -> None:
     bench.probe()
     bench.set("force output 0")
@@ -118,20 +98,6 @@ def test_a_probe_that_never_ends_is_answered_in_time_and_allows_nothing(bench: B
     bench.check(probe=0)
     bench.beat()
     assert bench.close_contactor() == AckError.INTERLOCK
-
-
-def test_probe_is_refused_while_closed_while_ramping_down_and_while_one_runs(bench: Bench) -> None:
-    bench.set(*STRONG)
-    bench.charge()
-    assert bench.ask(*PROBE).error == AckError.NOT_NOW
-    bench.open()
-    bench.check(contactor=1)  # it ramps down
-    assert bench.ask(*PROBE).error == AckError.NOT_NOW
-    bench.run(60 * MS)
-    bench.send(PROBE)
-    assert bench.ask(*PROBE).error == AckError.NOT_NOW
-    (answer,) = acks(bench.run(200 * MS))
-    assert answer.error == 0
 
 
 def test_energy_never_depends_on_a_live_host(bench: Bench) -> None:

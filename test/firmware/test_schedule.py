@@ -105,15 +105,3 @@ def test_a_blocked_wire_drops_tactile_first_and_answers_last(bench: Bench) -> No
     lost = np.diff([last.sequence, *(packet.sequence for packet in tactile(freed))]) - 1
     assert sum(lost) == state["dropped_tactile"]
     assert overruns(tactile(freed)) == (lost > 0).tolist()
-
-
-def test_a_wire_blocked_for_ever_does_not_stop_the_board(bench: Bench) -> None:
-    bench.charge().set("baud 1")
-    for _ in range(40):
-        bench.send((PacketType.PING, bytes(64)))
-        bench.run(20 * MS)
-    assert bench.state("dropped_answers") > 10
-    bench.check(commanded=1)  # heartbeats are still received
-    bench.beating = False
-    bench.run(101 * MS)
-    bench.check(contactor=0)

@@ -3,14 +3,13 @@
 
 from __future__ import annotations
 
-import random
 import struct
 from collections.abc import Callable
 
 import pytest
 
-from deltacharger_driver.board.protocol import LONGEST_SERVO, AckError, BoardFault, PacketType, decode_hello
-from deltacharger_driver.packets import Packet, encode_packet
+from deltacharger_driver.board.protocol import AckError, BoardFault, PacketType, decode_hello
+from deltacharger_driver.packets import Packet
 
 from .bench import MS, Bench, tactile
 
@@ -67,41 +66,6 @@ def test_hello_reports_the_bus_and_a_board_without_it_refuses_its_packets(new_be
     bench.check(unknown=2)
 
 
-@pytest.mark.parametrize("takes", [1, 7, 4096])
-def test_bytes_of_the_host_reach_the_bus_unchanged(bench: Bench, takes: int) -> None:
-    source = random.Random(takes)
-    bench.set(f"bus_takes {takes}")
-    sent = arrived = b""
-    for _ in range(60):
-        payload = source.randbytes(source.randrange(1, LONGEST_SERVO + 1))
-        sent += payload
-        wire = encode_packet(Packet(SERVO, payload, 0))
-        while wire:
-            cut = source.randrange(1, len(wire) + 1)
-            bench.host.sent(f"wire {wire[:cut].hex()}")
-            wire = wire[cut:]
-        bench.run(30 * MS)
-        arrived += bus(bench)
-    assert arrived == sent
-    bench.check(dropped_servo=0)
-
-
-@pytest.mark.parametrize("baud", [0, 1_000_000])
-def test_bytes_of_the_bus_reach_the_host_unchanged(new_bench: NewBench, baud: int) -> None:
-    bench = new_bench(servos=1, baud=baud)
-    source = random.Random(baud)
-    ask_servos(bench)
-    sent = received = b""
-    for _ in range(300):
-        piece = source.randbytes(source.choice((1, 2, 11, 127, 128, 129, 400)))
-        sent += piece
-        bus(bench, piece)
-        received += b"".join(from_servos(bench.run(20 * len(piece) + source.choice((0, 100, 5 * MS)))))
-    received += b"".join(from_servos(bench.run(50 * MS)))
-    assert received == sent
-    bench.check(dropped_servo=0)
-
-
 @pytest.mark.parametrize(("speed", "quiet"), [(4_500_000, 200), (1_000_000, 200), (57_600, 3472), (9_600, 20_833)])
 def test_bytes_are_gathered_until_the_bus_is_quiet(bench: Bench, speed: int, quiet: int) -> None:
     """200 us, or 20 byte times if longer."""
@@ -131,20 +95,6 @@ def test_nothing_is_sent_before_the_first_servo_packet_of_a_boot(bench: Bench) -
     bench.reboot()
     bench.check(servo_speed=1_000_000)
     assert nothing_is_sent()
-
-
-SPEEDS = [struct.pack("<I", speed) for speed in (0, 1, 9_599, 4_500_001, 2**32 - 1)]
-
-
-@pytest.mark.parametrize("payload", [*SPEEDS, b"", b"\0\0\1", struct.pack("<Q", 57_600)])
-def test_an_unsupported_speed_is_refused_and_changes_nothing(bench: Bench, payload: bytes) -> None:
-    ask_servos(bench)
-    bus(bench, b"ans")
-    bench.run(100)
-    assert bench.ask(PacketType.SERVO_SPEED, payload).error == AckError.BAD_PAYLOAD
-    bench.check(servo_speed=1_000_000)
-    bus(bench, b"wer")
-    assert from_servos(bench.run(200)) == [b"answer"]
 
 
 def cycle(bench: Bench, answer: bytes) -> list[bytes]:
