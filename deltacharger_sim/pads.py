@@ -357,7 +357,6 @@ def generate_paper(
     seed: int = 0,
     frames: int = 1,
     threshold: float = CONTACT_FORCE,
-    rows: int = 1,
 ) -> Dataset:
     """Generate the paper's protocol on each rig: 600 dockings by angle and 500 by position.
 
@@ -371,7 +370,6 @@ def generate_paper(
         seed: seed of the dockings.
         frames: frames averaged per row; the paper has 1.
         threshold: lower readings are stored as 0, N.
-        rows: consecutive rows per docking; the paper has 1.
     """
     random = np.random.default_rng([0x9A9E, seed])
     grid = np.array([(x, y) for x in POSITION_CLASSES for y in POSITION_CLASSES])
@@ -382,7 +380,7 @@ def generate_paper(
         by_angle = np.column_stack([start, np.radians(classes)])
         by_position = np.column_stack([np.repeat(grid, 20, axis=0), np.zeros(20 * len(grid))])
         poses.append(np.concatenate([by_angle, by_position]))
-    return _generate("paper", parameters, rigs, poses, subset, seed, frames, threshold, rows)
+    return _generate("paper", parameters, rigs, poses, subset, seed, frames, threshold)
 
 
 def generate_continuous(
@@ -394,7 +392,6 @@ def generate_continuous(
     threshold: float = CONTACT_FORCE,
     position_limit: float = POSITION_LIMIT,
     angle_limit: float = ANGLE_LIMIT,
-    rows: int = 1,
 ) -> Dataset:
     """Generate signed poses, uniform over ±position_limit and ±angle_limit.
 
@@ -407,13 +404,12 @@ def generate_continuous(
         threshold: lower readings are stored as 0, N.
         position_limit: largest |x| and |y|, m.
         angle_limit: largest |angle|, rad.
-        rows: rows per docking.
     """
     random = np.random.default_rng([0xC047, seed])
     limit = np.array([position_limit, position_limit, angle_limit])
     poses = [random.uniform(-limit, limit, (count, 3)) for _ in rigs]
     subset = np.full(count, SUBSET_CONTINUOUS)
-    return _generate("continuous", parameters, rigs, poses, subset, seed, frames, threshold, rows)
+    return _generate("continuous", parameters, rigs, poses, subset, seed, frames, threshold)
 
 
 def contact_force(parameters: PadDockingParameters, offset: Array, current: Array, magnets: float = 1.0) -> Array:
@@ -432,20 +428,19 @@ def _generate(
     seed: int,
     frames: int,
     threshold: float,
-    rows: int = 1,
 ) -> Dataset:
-    if not rigs or frames < 1 or rows < 1:
-        raise DatasetError(protocol, f"{len(rigs)} rigs, {frames} frames, {rows} rows; each must be at least 1")
+    if not rigs or frames < 1:
+        raise DatasetError(protocol, f"{len(rigs)} rigs, {frames} frames; each must be at least 1")
     chosen = parameters or TactileParameters()
     parts = []
     for index, (rig_seed, pose) in enumerate(zip(rigs, poses, strict=True)):
         rig = Rig.draw(chosen, rig_seed)
         random = np.random.default_rng([0xD0C, seed, rig_seed])
-        part = measure(chosen, rig, pose, random, frames, threshold, rows=rows)
+        part = measure(chosen, rig, pose, random, frames, threshold)
         part["attempt"] = part["attempt"] + len(pose) * index
         part["session"] = part["session"] + SESSIONS * index
-        part["rig"] = np.full(len(pose) * rows, rig_seed)
-        part["subset"] = np.repeat(subset, rows)
+        part["rig"] = np.full(len(pose), rig_seed)
+        part["subset"] = subset
         parts.append(part)
     joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     meta = {
@@ -454,7 +449,7 @@ def _generate(
         "seed": seed,
         "rigs": list(rigs),
         "frames": frames,
-        "rows": rows,
+        "rows": 1,
         "threshold": threshold,
         "parameters": json.loads(chosen.to_json()),
         "digest": chosen.digest(),
@@ -470,10 +465,9 @@ def measure(
     frames: int,
     threshold: float,
     current: Array | None = None,
-    rows: int = 1,
     lean: Array | None = None,
 ) -> dict[str, Any]:
-    """Dock once at each commanded pose (N, 3) and record `rows` rows each; returns a Dataset's columns without subset.
+    """Dock once at each commanded pose (N, 3); return a Dataset's columns without subset.
 
     `lean` (N, 2), rad: tilt about x and y of the resting platform, relative to the target; None = level.
     """
@@ -489,7 +483,7 @@ def measure(
     tares = np.stack([_tare(parameters, rig, random) for _ in range(SESSIONS)])
     session = random.integers(0, SESSIONS, count)
     model = ContactModel(parameters.contact)
-    readings = np.empty((count, rows, *SHAPE))
+    readings = np.empty((count, *SHAPE))
     for start in range(0, count, _CHUNK):
         part = slice(start, start + _CHUNK)
         chosen = Dockings(*(getattr(dockings, item.name)[part] for item in dataclasses.fields(Dockings)))
@@ -498,16 +492,17 @@ def measure(
             tilt = tilt + lean[part]
         taxels = model.solve(actual[part], force[part], tilt, rig.waviness)
         sensor = Sensor(parameters.sensor, rig, random, len(taxels))
-        for row in range(rows):
-            total = np.zeros(taxels.shape)
-            for frame in range(row * frames, (row + 1) * frames):
-                raw = sensor.read(taxels, chosen, dwell[part] + frame / FRAME_RATE, 1.0 / FRAME_RATE)
-                total += np.maximum(raw - tares[session[part]], 0.0)
-            readings[part, row] = total / frames
-    raw_rows = readings.reshape(-1, *SHAPE)
-    dead = np.isnan(raw_rows)
-    cut = np.where(dead | (raw_rows < threshold), 0.0, raw_rows).astype(np.float32)
-    by_docking: dict[str, NDArray[Any]] = {
+        total = np.zeros(taxels.shape)
+        for frame in range(frames):
+            raw = sensor.read(taxels, chosen, dwell[part] + frame / FRAME_RATE, 1.0 / FRAME_RATE)
+            total += np.maximum(raw - tares[session[part]], 0.0)
+        readings[part] = total / frames
+    dead = np.isnan(readings)
+    cut = np.where(dead | (readings < threshold), 0.0, readings).astype(np.float32)
+    return {
+        "left": cut[:, 0],
+        "right": cut[:, 1],
+        "dead": dead,
         "tare": np.nan_to_num(tares[session]).astype(np.float32),
         "angle": pose[:, 2],
         "vertical": pose[:, 1],
@@ -518,8 +513,6 @@ def measure(
         "current": current,
         "force": force,
     }
-    repeated = {name: np.repeat(column, rows, axis=0) for name, column in by_docking.items()}
-    return {"left": cut[:, 0], "right": cut[:, 1], "dead": dead, **repeated}
 
 
 def _tare(parameters: TactileParameters, rig: Rig, random: np.random.Generator) -> Array:

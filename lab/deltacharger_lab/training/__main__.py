@@ -53,7 +53,9 @@ def add_generate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--frames", type=integer(1, 240), default=1, metavar="N", help="frames averaged in each row (1)"
     )
-    parser.add_argument("--rows", type=integer(1, 240), default=1, metavar="N", help="rows of each docking (1)")
+    parser.add_argument(
+        "--rows", type=integer(1, 240), default=1, metavar="N", help="rows of each docking; docked only (1)"
+    )
     parser.add_argument(
         "--threshold", type=between(0.0, 9.0), metavar="N", help="smaller forces count as 0 (1; continuous 0.25)"
     )
@@ -87,13 +89,13 @@ def generate(options: argparse.Namespace) -> Result:
     rigs = range(options.first_rig, options.first_rig + count)
     usual = THRESHOLD if options.protocol == "continuous" else CONTACT_FORCE
     threshold = usual if options.threshold is None else options.threshold
-    common = {"seed": options.seed, "frames": options.frames, "rows": options.rows, "threshold": threshold}
+    common = {"seed": options.seed, "frames": options.frames, "threshold": threshold}
     if options.protocol != "continuous" and options.dockings is not None:
         raise WrongInput("--dockings is for --protocol continuous; the paper's numbers are fixed")
     if options.protocol == "paper":
         data = generate_paper(**common, rigs=rigs)
     elif options.protocol == "docked":
-        data = _docked(options, Protocol(**common, rig=options.first_rig))
+        data = _docked(options, Protocol(**common, rows=options.rows, rig=options.first_rig))
     else:
         data = generate_continuous(**common, rigs=rigs, count=options.dockings or 400)
     data.save(out)
