@@ -48,7 +48,7 @@ from deltacharger_driver.board.protocol import (
 )
 from deltacharger_driver.emulators.power import EmulatedPower, PowerPlant, StageParameters
 from deltacharger_driver.emulators.wire import DelayLine, WireFaults
-from deltacharger_driver.packets import VERSION, DecoderCounters, Packet, PacketDecoder, encode_packet
+from deltacharger_driver.packets import VERSION, Packet, PacketDecoder, encode_packet
 from deltacharger_driver.ports import ByteDevice
 
 TARE_SAMPLES = 8
@@ -230,13 +230,10 @@ class BoardEmulator:
     Attributes:
         faults: errors of the wire.
         servos: the bus behind the board.
-        unknown_types: number of packets of unknown types.
 
     Args:
         plant: the physics.
-        probe_time: s that a probe takes, at most 0.25.
         seed: of boot ids and wire faults; None draws one.
-        boot_time: duration of a boot, s; during it the board neither receives nor sends, and its contactor is open.
         servos: the servos' bus, if it is connected to the board.
         stage: the power stage, as its wiring declares it.
     """
@@ -244,19 +241,16 @@ class BoardEmulator:
     def __init__(
         self,
         plant: BoardPlant,
-        probe_time: float = 0.150,
         seed: int | None = None,
-        boot_time: float = 0.0,
         servos: ByteDevice | None = None,
         stage: StageParameters | None = None,
     ) -> None:
         self._random = np.random.default_rng(seed)
         self._pads = EmulatedPads(plant)
-        self._power = EmulatedPower(plant, probe_time, stage)
+        self._power = EmulatedPower(plant, stage)
         self._lock = threading.RLock()
         self._decoder = PacketDecoder()
-        self._boot_time = boot_time
-        self._boot_wanted: float | None = boot_time  # s that the boot will take
+        self._boot_wanted: float | None = 0.0  # s that the boot will take
         self._running_from = math.inf  # end of the boot under way
         self._booted_at = 0.0
         self._next_power = self._next_sample = math.inf
@@ -264,12 +258,6 @@ class BoardEmulator:
         self._wire = DelayLine()
         self.faults = WireFaults(seed)
         self.servos = BoardServos(servos)
-        self.unknown_types = 0
-
-    @property
-    def counters(self) -> DecoderCounters:
-        """Counters of the board's decoder."""
-        return self._decoder.counters
 
     @property
     def contactor_commanded(self) -> bool:
@@ -281,9 +269,9 @@ class BoardEmulator:
         """The latched fault, 0 none."""
         return self._power.fault
 
-    def reboot(self, boot_time: float | None = None) -> None:
-        """Boot at the next poll (within 50 ms when served); `boot_time` in s, None = as constructed."""
-        self._boot_wanted = self._boot_time if boot_time is None else boot_time
+    def reboot(self, boot_time: float = 0.0) -> None:
+        """Boot at the next poll (within 50 ms when served) for some s: deaf and silent, with an open contactor."""
+        self._boot_wanted = boot_time
 
     def trip(self, fault: int) -> None:
         """Open the power stage at once and latch a fault, as if it had detected one."""
@@ -338,8 +326,7 @@ class BoardEmulator:
         self._next_sample = math.inf
         self._next_power = now + 1.0 / POWER_RATE
         self._probe_sequence = self._tare_sequence = 0
-        counters, self._decoder = self._decoder.counters, PacketDecoder()
-        self._decoder.counters = counters
+        self._decoder = PacketDecoder()
         self._pads.reset()
         self._power.reset(now)
         self.servos.reset()
@@ -414,7 +401,6 @@ class BoardEmulator:
     def _execute(self, packet: Packet, now: float) -> None:
         command = _COMMANDS.get(packet.type)
         if command is None or (packet.type in _OF_SERVOS and not self.servos):
-            self.unknown_types += 1
             self._acknowledge(packet.type, packet.sequence, AckError.UNKNOWN, now)
             return
         try:

@@ -330,11 +330,13 @@ class EmulatedPower:
 
     Args:
         plant: the physics.
-        probe_time: s that a probe takes, at most 0.25.
         parameters: of the stage.
+        probe_time: s that a probe takes, at most 0.25.
     """
 
-    def __init__(self, plant: PowerPlant, probe_time: float, parameters: StageParameters | None = None) -> None:
+    def __init__(
+        self, plant: PowerPlant, parameters: StageParameters | None = None, probe_time: float = _PROBE_TIME
+    ) -> None:
         self._plant = plant
         self._probe_time = probe_time
         self.parameters = parameters or StageParameters()

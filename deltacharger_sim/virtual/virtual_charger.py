@@ -62,7 +62,6 @@ from deltacharger_tactile import PoseEstimator, default_model
 
 TICK = 0.01
 PROFILE = TargetProfile(**LITHIUM_7S)
-_PROBE_TIME = 0.15  # s
 FRAME = 1.0 / FRAME_RATE
 GOAL = ElectrodePose((0.0, 0.0, DOCK_DISTANCE), 0.0)
 _ORDERS = (Service.TORQUE_ON, Service.TORQUE_OFF, Service.TARE, Service.PROBE)  # refused if they come too late
@@ -158,7 +157,7 @@ class VirtualCharger:
         return SharedWorld(self.world, clock=lambda: self.now)
 
     def _make_power(self) -> EmulatedPower:
-        return EmulatedPower(self.plant, _PROBE_TIME, self.world.parameters.stage)
+        return EmulatedPower(self.plant, self.world.parameters.stage)
 
     @property
     def profiles(self) -> dict[str, TargetProfile]:

@@ -581,7 +581,7 @@ def stage(resistance: float = NAN, voltage: float = 24.0, closed: bool = False, 
 
 def board(heartbeat: float = 0.0, probe: float = 0.0, **plant: Any) -> EmulatedPower:
     """Return an emulated board that was to close at 10 s, so long (s) after heartbeat and probe."""
-    power = EmulatedPower(stage(**plant), 0.0)
+    power = EmulatedPower(stage(**plant), probe_time=0.0)
     power.start_probe(10.0 - probe)
     power.poll_probe(10.0 - probe)
     power.heartbeat(10.0 - heartbeat)

@@ -27,7 +27,7 @@ class Arm:
 
     def __init__(self, parameters: WorldParameters | None = None, step: float = 0.005, tactile: Any = None) -> None:
         self.world = World(parameters or WorldParameters(servo=plain_servo()), tactile)
-        self.power = EmulatedPower(self.world.circuit, 0.0, self.world.parameters.stage)
+        self.power = EmulatedPower(self.world.circuit, self.world.parameters.stage, 0.0)
         self.step = step
         values = self.world.parameters
         self.gravity = (values.gravity_x, values.gravity_y, values.gravity_z)
