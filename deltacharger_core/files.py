@@ -43,9 +43,6 @@ class FileRefused(OSError):
     def __str__(self) -> str:
         return f"{self.filename}: {self.strerror}"
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.filename, self.strerror)
-
 
 def given_path(text: str) -> Path:
     """Return a path given by a user; expands `~`, but leaves an unknown `~user` unchanged."""

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from deltacharger_core.files import open_file
-from deltacharger_core.texts import Picklable
 
 CUT_SHORT = "the file ends early: its recorder was stopped"
 """Reason for a truncated but otherwise valid file."""
@@ -38,7 +37,7 @@ _CONVERT = (
 )
 
 
-class RecordingError(Picklable, RuntimeError):
+class RecordingError(RuntimeError):
     """A recording cannot be written or read. The message states the reason and the remedy."""
 
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 from deltacharger_core.files import brief
-from deltacharger_core.texts import ON_ROBOT, Picklable, outside
+from deltacharger_core.texts import ON_ROBOT, outside
 
 T = TypeVar("T")
 
@@ -27,7 +27,7 @@ _KEY = "declaration"  # in the metadata of a field
 _KINDS = {bool: "true or false", str: "text", int: "a whole number", float: "a number"}
 
 
-class ParameterError(Picklable, ValueError):
+class ParameterError(ValueError):
     """A key is unknown, or a value has the wrong type or lies outside its bounds.
 
     Attributes:

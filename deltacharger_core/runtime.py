@@ -10,13 +10,11 @@ import stat
 from collections.abc import Iterator
 from pathlib import Path
 
-from deltacharger_core.texts import Picklable
-
 CONTROL = "control"
 """Name of a simulated charger's command socket, beside its ports."""
 
 
-class Taken(Picklable):
+class Taken(Exception):
     """Another running process holds the lock.
 
     Args:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Texts from and for people and other programs: their bounds, units of numbers, errors that can be pickled.
+"""Texts from and for people and other programs: their bounds, units of numbers.
 
 Bounds of places and angles from people, files and other programs, and the question that other units deserve.
 Everything is in metres and radians, but people measure in millimetres and degrees. A pose in these is a number like any
@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Any, TypeVar
 
 from deltacharger_core.files import brief
 
@@ -63,25 +62,6 @@ def figure(value: float, unit: str, digits: int, width: int = 0) -> str:
     """Return a number with its unit; – for NaN."""
     text = "–" if value != value else f"{value:.{digits}f}"
     return f"{text:>{width}} {unit}".rstrip()
-
-
-E = TypeVar("E", bound=BaseException)
-
-
-class Picklable(Exception):
-    """Base of exceptions whose constructor takes other arguments than the message.
-
-    By default, unpickling calls the constructor with the finished message.
-    """
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _restored, (type(self), self.args), self.__dict__
-
-
-def _restored(kind: type[E], args: tuple[Any, ...]) -> E:
-    error = kind.__new__(kind)
-    error.args = args
-    return error
 
 
 ON_ROBOT = 10.0

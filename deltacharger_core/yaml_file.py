@@ -15,7 +15,6 @@ from typing import Any, TypeVar
 
 from deltacharger_core.files import LARGEST_TEXT, FileRefused, brief, read_bytes, write_text
 from deltacharger_core.parameters import ParameterError, from_mapping
-from deltacharger_core.texts import Picklable
 
 T = TypeVar("T")
 
@@ -30,7 +29,7 @@ _OPENCV_HEADER = b"%YAML:1.0"
 _EXPONENT = re.compile(r"^[-+]?(?:[0-9][0-9_]*)(?:\.[0-9_]*)?[eE][-+]?[0-9]+$")
 
 
-class YamlError(Picklable, ValueError):
+class YamlError(ValueError):
     """A file is not valid YAML.
 
     Attributes:

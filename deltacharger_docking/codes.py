@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-from deltacharger_core.texts import Picklable
 from deltacharger_kinematics.geometry import Vector
 
 
@@ -60,7 +59,7 @@ class Code(IntEnum):
     INTERNAL = 999
 
 
-class DockingError(Picklable):
+class DockingError(Exception):
     """Base class of all reasons why a goal can fail.
 
     `code` identifies it. `retriable`: the same goal may succeed later.

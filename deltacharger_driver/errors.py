@@ -5,10 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from deltacharger_core.texts import Picklable
 
-
-class DriverError(Picklable):
+class DriverError(Exception):
     """Root of every error raised by deltacharger_driver."""
 
 

@@ -25,7 +25,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from deltacharger_core.arrays import Array, Mask
 from deltacharger_core.machine import JOINT_SPEED
-from deltacharger_core.texts import Picklable
 from deltacharger_kinematics.delta import Delta, as_vectors
 from deltacharger_kinematics.geometry import NO_ANSWER, Status, Vector
 from deltacharger_kinematics.solve import LimbArrays
@@ -80,7 +79,7 @@ class Line:
         return float(self.times[-1])
 
 
-class LineRefused(Picklable, ValueError):
+class LineRefused(ValueError):
     """A line has points that the platform must not pass.
 
     Attributes:

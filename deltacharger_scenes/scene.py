@@ -29,7 +29,6 @@ from deltacharger_core.parameters import (
     number,
     words,
 )
-from deltacharger_core.texts import Picklable
 from deltacharger_core.yaml_file import YamlError, read_yaml
 from deltacharger_scenes.node_table import NODES, load
 from deltacharger_sim.charger.simulation import Simulation, target_numbers
@@ -95,7 +94,7 @@ T = TypeVar("T")
 Problems: TypeAlias = Iterator[tuple[str, str]]  # keys with their problems
 
 
-class SceneError(Picklable, ValueError):
+class SceneError(ValueError):
     """A scene is invalid.
 
     Attributes:

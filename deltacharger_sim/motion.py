@@ -7,14 +7,13 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 
-from deltacharger_core.texts import Picklable
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_sim.pads import Lean
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.touch import Bars, tilts
 
 
-class TargetFixed(Picklable, RuntimeError):
+class TargetFixed(RuntimeError):
     """The target of this model cannot move. Example: `World.move_target` of MuJoCo's world.
 
     Args:

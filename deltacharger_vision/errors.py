@@ -3,10 +3,8 @@
 
 from __future__ import annotations
 
-from deltacharger_core.texts import Picklable
 
-
-class VisionError(Picklable):
+class VisionError(Exception):
     """Root of every error raised by deltacharger_vision."""
 
 

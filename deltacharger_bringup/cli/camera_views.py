@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.files import append_text
-from deltacharger_core.texts import Picklable
 from deltacharger_core.yaml_file import write_yaml
 from deltacharger_kinematics.calibration.data import RADIANS, CalibrationError, read_table
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
@@ -40,7 +39,7 @@ _NEAREST = 0.03  # m before the camera
 _TRIED = 4096
 
 
-class ViewsError(Picklable, ValueError):
+class ViewsError(ValueError):
     """A folder of views cannot be used. Example: a row without an image.
 
     Args:
