@@ -180,11 +180,6 @@ class FirmwareBoard:
         """The latched fault, 0 = none."""
         return int(self.host.state()["fault"])
 
-    @property
-    def unknown_types(self) -> int:
-        """Number of packets of unknown types."""
-        return int(self.host.state()["unknown"])
-
     def reboot(self) -> None:
         """Boot at the next poll."""
         self._boot_wanted = True

@@ -84,7 +84,7 @@ class Side:
 
     def story(self) -> list[object]:
         """Return the state, and the packets to the host since the last call, without frames and figures of power."""
-        events: list[object] = [self.board.contactor_commanded, self.board.fault, self.board.unknown_types]
+        events: list[object] = [self.board.contactor_commanded, self.board.fault]
         powers: list[object] = []  # which come at each board's own times
         for packet in self.received:
             if packet.type == PacketType.ACK:
@@ -111,8 +111,10 @@ class Day:
         self.random = random.Random(seed)
         self.now = self.began = 100.0
         plant, firmware_plant = BenchPlant(noise=0.0, clock=lambda: self.now), FirmwarePlant(noise=0.0)
+        board = BoardEmulator(plant)
+        board._power._probe_time = PROBE_TIME
         self.sides = (
-            Side(BoardEmulator(plant, probe_time=PROBE_TIME), plant),
+            Side(board, plant),
             Side(FirmwareBoard(firmware_plant, probe_time=PROBE_TIME), firmware_plant),
         )
         self.sequence = 0
