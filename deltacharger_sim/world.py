@@ -78,9 +78,7 @@ class Snapshot:
 
 _APART = 0.001  # m of gap that ends a docking; a smaller one is a bounce
 _NOTHING = 1e-9  # s
-AMBIENT_TEMPERATURE = 28.0  # °C
-HEATING = 9.0  # K/A², final temperature rise of a servo per squared current
-HEATING_TIME = 600.0  # s, time constant of that rise
+TEMPERATURE = 28.0  # °C of each servo: a docking heats it by 2 K
 _CURRENT_UNIT = MX_64.current_unit  # A, step of a reading
 T = TypeVar("T")
 
@@ -129,9 +127,6 @@ class World:
         self._overlap_pose: Pose | None = None
         self._was_short = self._was_parted = self._was_unpowered = self._was_lifted = False
         self._lay_wired = False  # electrodes without a contactor were on the target
-        self._temperature = [AMBIENT_TEMPERATURE] * 3
-        self._goals: Vector = (0.0, 0.0, 0.0)
-        self._goals_of: Vector | None = None
         self._moving: tuple[float, float, float, float] | None = None  # m/s, m/s, rad/s of the target, remaining s
 
     def command(
@@ -168,7 +163,6 @@ class World:
         if moved or not mechanics.still:
             self._follow_contact()
         self.circuit.step(dt, self._overlap, mechanics.bars)
-        self._heat(dt)
         self._take_record(dt)
 
     def move_target(self, dx: float, dy: float, roll: float, seconds: float) -> None:
@@ -248,7 +242,7 @@ class World:
         elif noise > 0.0:
             current += self._random.gauss(0.0, noise)
         angle, current = round(angle / TICK) * TICK, round(current / _CURRENT_UNIT) * _CURRENT_UNIT
-        return angle, mechanics.rates[index], current, mechanics.voltage, self._temperature[index]
+        return angle, mechanics.rates[index], current, mechanics.voltage, TEMPERATURE
 
     def taxels(self) -> tuple[Array, Array]:
         """Return both pads' raw readings (10, 10) N now."""
@@ -288,22 +282,6 @@ class World:
         if self._docked and self.mechanics.gap > _APART:
             self._docked = False
             self._jitter = (0.0, 0.0, 0.0)
-
-    def _heat(self, dt: float) -> None:
-        servo, torques, warm = self.parameters.servo, self.mechanics.torques, self._temperature
-        if torques is not self._goals_of:
-            self._goals_of = torques
-            ambient, per_torque = AMBIENT_TEMPERATURE, HEATING / servo.torque_constant**2
-            self._goals = (
-                ambient + per_torque * torques[0] * torques[0],
-                ambient + per_torque * torques[1] * torques[1],
-                ambient + per_torque * torques[2] * torques[2],
-            )
-        share = dt / HEATING_TIME if dt < HEATING_TIME else 1.0
-        first, second, third = self._goals
-        warm[0] += (first - warm[0]) * share
-        warm[1] += (second - warm[1]) * share
-        warm[2] += (third - warm[2]) * share
 
     def _take_record(self, dt: float) -> None:
         record, circuit = self.record, self.circuit
