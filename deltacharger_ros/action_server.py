@@ -27,20 +27,17 @@ _SEND_TIME = 0.1  # s for the result to leave: rclpy sends it later, from anothe
 
 
 class Work:
-    """Work that a goal has started; other goals may join and wait for its end.
-
-    Args:
-        handle: handle of the first goal.
+    """Work that a goal has started.
 
     Attributes:
-        handles: handles of the waiting goals.
+        handle: of the goal.
         outcome: how the work ended; None before.
         done: set when the work has ended.
         answered: set when a goal has its result.
     """
 
     def __init__(self, handle: GoalHandle) -> None:
-        self.handles = [handle]
+        self.handle = handle
         self.outcome: Any = None
         self.done = threading.Event()
         self.answered = threading.Event()
@@ -48,7 +45,7 @@ class Work:
         self._fed_back_at = -math.inf
 
     def end(self, outcome: Any) -> None:
-        """Answer all waiting goals; `outcome` has `success` and `canceled`."""
+        """Answer the goal; `outcome` has `success` and `canceled`."""
         self.outcome = outcome
         self.done.set()
 
@@ -61,10 +58,9 @@ class Work:
         return True
 
     def feed_back(self, message: Any) -> None:
-        """Publish feedback for all goals."""
-        for handle in self.handles:
-            with contextlib.suppress(RuntimeError):  # the client may have left
-                handle.publish_feedback(message)
+        """Publish feedback."""
+        with contextlib.suppress(RuntimeError):  # the client may have left
+            self.handle.publish_feedback(message)
 
     def wait_until_answered(self, timeout: float) -> None:
         """Wait until a client has probably received the result; `timeout`: s for the goal's callback to set it."""
@@ -81,7 +77,7 @@ class WorkServer:
         node: owner.
         kind: action type.
         name: action name.
-        begin: starts or joins the work of a goal; an exception aborts the goal.
+        begin: starts the work of a goal; an exception aborts the goal.
         is_served: whether the work is still being done; a goal must not wait for ever.
         outcome: converts an exception of `begin` to an outcome; internal error unless it is a refusal.
         refusals: exception that `begin` raises to refuse a goal.

@@ -32,7 +32,7 @@ from deltacharger_docking.observation import Command, DockGoal, DockingOutcome, 
 from deltacharger_docking.parameters import DockingNodeParameters, DockingParameters, ProfileNames, TargetProfile
 from deltacharger_docking.ros import messages as io
 from deltacharger_docking.ros.inputs import Inputs
-from deltacharger_docking.ros.reports import Reports, changes
+from deltacharger_docking.ros.reports import Reports
 from deltacharger_docking.ros.services import Services
 from deltacharger_kinematics.geometry import DeltaGeometry, load_geometry
 from deltacharger_kinematics.parameters import GeometryFileParameters
@@ -57,12 +57,11 @@ _FEEDBACK = 0.2  # s between feedbacks without a change
 
 
 class ServedGoal(Work):
-    """A goal being served: its handle, its action, and the state last reported to its client."""
+    """A goal being served, of an action."""
 
     def __init__(self, handle: GoalHandle, action: Any) -> None:
         super().__init__(handle)
-        self.handle, self.action = handle, action
-        self.state = State.IDLE
+        self.action = action
 
 
 class DockingNode(Node):
@@ -93,7 +92,6 @@ class DockingNode(Node):
         self._clock_watch = ClockWatch(self.get_clock())
         self._stopping = threading.Event()
         self._torque_off_at = math.inf
-        self._slowest_tick = 0.0
         self._goal: ServedGoal | None = None
         self._ended: GoalHandle | None = None  # of the goal that ended last
         self._waiting: list[GoalHandle] | None = []  # goals that arrived before `release`
@@ -166,7 +164,7 @@ class DockingNode(Node):
         else:
             self._await_torque_off()
         self._reports.show(self._machine.status, force=True)
-        self._reports.log(self._machine.status, (), self._observe())
+        self._reports.log(self._machine.status, self._observe())
         unknown = DockingOutcome(code=why.code, message=_SHUTTING_DOWN, retriable=True, energy=math.nan)
         goal = self._goal
         self._end(self._machine.outcome or unknown)
@@ -208,10 +206,8 @@ class DockingNode(Node):
 
     def _loop(self) -> None:
         while not self._stopping.is_set():
-            started = time.monotonic()
             try:
                 self._pace()
-                started = time.monotonic()
                 with self._lock:
                     self._inputs.look()
                     observation = self._observe()
@@ -223,7 +219,6 @@ class DockingNode(Node):
                     self._switch_off_when_due(observation)
             except Exception as error:  # a defect must open the contactor and end the goal, but not end the thread
                 self._defect(error)
-            self._slowest_tick = max(self._slowest_tick, time.monotonic() - started)
 
     def _pace(self) -> None:
         """Wait for the next servo_state; in IDLE only for the tick."""
@@ -272,12 +267,11 @@ class DockingNode(Node):
         """Publish decisions and changes, hand over a finished goal, publish diagnostics when due."""
         status = self._machine.status
         self._reports.decided(command.decisions, status.request_id)
-        self._reports.show(status, command.states)
-        self._reports.log(status, command.states, observation)
-        self._feed_back(command.states, observation.charge_current)
+        self._reports.show(status)
+        self._reports.log(status, observation)
+        self._feed_back(observation.charge_current)
         self._hand_over()
-        if self._reports.diagnose(status, observation, self._slowest_tick, self._inputs.heard):
-            self._slowest_tick = 0.0
+        self._reports.diagnose(status, observation, self._inputs.heard)
 
     def _hand_over(self) -> None:
         outcome, self._machine.outcome = self._machine.outcome, None
@@ -360,24 +354,20 @@ class DockingNode(Node):
             self._ended = goal.handle
             goal.end(outcome)
 
-    def _feed_back(self, passed: Sequence[State], charge_current: float) -> None:
-        """Publish feedback if something changed, once for each state passed through since the last call."""
+    def _feed_back(self, charge_current: float) -> None:
+        """Publish feedback if something changed, or when due."""
         goal, status = self._goal, self._machine.status
-        if goal is None:
+        news = status.state, status.alignments, status.estimate, status.waiting_for
+        if goal is None or not goal.is_due(news, _FEEDBACK):
             return
-        states = changes(goal.state, passed, status.state)
-        goal.state = status.state
-        if goal.is_due((status.alignments, status.estimate, status.waiting_for), _FEEDBACK):
-            states = states or [status.state]
-        for state in states:
-            message = goal.action.Feedback(state=int(state), z=status.position[2])
-            if goal.action is Dock:
-                message.alignments, message.contact_current = status.alignments, status.contact_current
-                message.misalignment = self._calls.misalignment(status.estimate)
-                message.elapsed, message.waiting_for = duration(status.elapsed), status.waiting_for
-            else:
-                message.charge_current = charge_current
-            goal.feed_back(message)
+        message = goal.action.Feedback(state=int(status.state), z=status.position[2])
+        if goal.action is Dock:
+            message.alignments, message.contact_current = status.alignments, status.contact_current
+            message.misalignment = self._calls.misalignment(status.estimate)
+            message.elapsed, message.waiting_for = duration(status.elapsed), status.waiting_for
+        else:
+            message.charge_current = charge_current
+        goal.feed_back(message)
 
     def _dock_goal(self, request: Dock.Goal) -> DockGoal:
         """Return the plain values of a Dock goal. The pose is converted once, since the robot stands still.

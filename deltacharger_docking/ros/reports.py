@@ -6,9 +6,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from enum import IntEnum
-from itertools import pairwise
 from typing import Any
 
 from deltacharger.msg import DockingDecision, DockingState
@@ -41,7 +39,7 @@ class Reports:
         self._frame = frame
         self._node = node
         self._age_max = age_max
-        self._shown: DockingStatus | None = None
+        self._shown: dict[str, Any] = {}
         self._diagnosed = -math.inf
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._state = node.create_publisher(DockingState, "docking_state", latched)
@@ -50,7 +48,7 @@ class Reports:
         self._log, self.phases = log, PhaseLog(log, State.IDLE)
         self._closed, self._closed_since = False, math.nan
 
-    def log(self, status: DockingStatus, passed: Sequence[State], seen: Observation) -> None:
+    def log(self, status: DockingStatus, seen: Observation) -> None:
         """Log changes: phases, failures, the contactor."""
         if seen.contactor_closed and not self._closed:
             self._closed_since = seen.time
@@ -58,28 +56,16 @@ class Reports:
         elif self._closed and not seen.contactor_closed:
             self._log.info(f"contactor open, it was closed for {seen.time - self._closed_since:.1f} s")
         self._closed = seen.contactor_closed
-        entered = changes(State(self.phases.phase), passed, status.state)
+        entered = [] if status.state is self.phases.phase else [status.state]
         self.phases.show(status, entered, seen.time, *(_figures(status, seen) if entered else ()))
 
-    def show(self, status: DockingStatus, passed: Sequence[State] = (), force: bool = False) -> None:
-        """Publish docking_state if it changed, once for each state passed through since the last call."""
-        before = self._shown or DockingStatus()
-        for state in changes(before.state, passed, status.state)[:-1]:
-            self._publish(replace(status, state=state, docked=before.docked, charging=before.charging))
-        if force or self._shown is None or _key(status) != _key(self._shown):
-            self._publish(replace(status))
-
-    def _publish(self, status: DockingStatus) -> None:
-        self._shown = status
-        message = DockingState(
-            state=int(status.state),
-            docked=status.docked,
-            charging=status.charging,
-            error_code=int(status.code),
-            error_message=status.message,
-            request_id=status.request_id,
-            duplicate_sources=status.duplicate_sources,
-        )
+    def show(self, status: DockingStatus, force: bool = False) -> None:
+        """Publish docking_state if it changed."""
+        values = {name: getattr(status, name) for name in ("docked", "charging", "request_id", "duplicate_sources")}
+        values |= {"state": int(status.state), "error_code": int(status.code), "error_message": status.message}
+        if values == self._shown and not force:
+            return
+        self._shown, message = values, DockingState(**values)
         message.header.stamp, message.header.frame_id = self._node.get_clock().now().to_msg(), self._frame
         self._state.publish(message)
 
@@ -98,17 +84,10 @@ class Reports:
             message.header.frame_id = self._frame
             self._decision.publish(message)
 
-    def diagnose(self, status: DockingStatus, observation: Observation, slowest_tick: float, heard: Heard) -> bool:
-        """Publish /diagnostics once a second; return whether it did.
-
-        Args:
-            status: of the machine.
-            observation: the latest.
-            slowest_tick: s, since the last diagnostics.
-            heard: knows the refused messages.
-        """
+    def diagnose(self, status: DockingStatus, observation: Observation, heard: Heard) -> None:
+        """Publish /diagnostics once a second; `heard` knows the refused messages."""
         if time.monotonic() - self._diagnosed <= _DIAGNOSTICS:
-            return False
+            return
         self._diagnosed = time.monotonic()
         level, text = (WARN, observation.clock_problem) if observation.clock_problem else (OK, status.state.name)
         if status.code:
@@ -125,28 +104,16 @@ class Reports:
             "charging": status.charging,
             "contact_current": quantity(status.contact_current, ".3f", "A"),
             **dict(zip(("servo_age", "tactile_age", "power_age"), map(_age, ages), strict=True)),
-            "slowest_tick": quantity(1000.0 * slowest_tick, ".1f", "ms"),
             "duplicate_sources": status.duplicate_sources,
             "clock_problem": observation.clock_problem,
             "refused_messages": heard.refused,
             "refused_last": heard.last_refusal,
         }
         self._diagnostics.report(level, text, entries, "docking")
-        return True
 
 
 def _age(age: float) -> str:
     return "never received" if math.isinf(age) else quantity(age, ".3f", "s")
-
-
-def _key(status: DockingStatus) -> tuple[object, ...]:
-    values = (status.state, status.docked, status.charging, status.code, status.message, status.request_id)
-    return *values, status.duplicate_sources
-
-
-def changes(before: State, passed: Sequence[State], now: State) -> list[State]:
-    """Return the states to report after `before`: those passed through within one tick, then the present one."""
-    return [state for last, state in pairwise((before, *passed, now)) if state is not last]
 
 
 class PhaseLog:

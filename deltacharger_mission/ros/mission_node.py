@@ -68,7 +68,7 @@ class _Mission(Work):
 
     def __init__(self, handle: GoalHandle, log: Log, docked: Any) -> None:
         super().__init__(handle)
-        self.handle, self.docked = handle, docked  # the result of its last docking
+        self.docked = docked  # the result of its last docking
         self.log = PhaseLog(log, Stage.WAIT)
         self.log.begin(titled("charge_robot", handle.request.request_id))
         self.is_canceled = False  # the machine knows it

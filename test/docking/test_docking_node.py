@@ -158,7 +158,7 @@ def defect(monkeypatch: pytest.MonkeyPatch, owner: Any, method: str, once: bool)
     [
         pytest.param("_machine", "step", marks=pytest.mark.witness),
         rest("_inputs", "observation"),
-        rest("_reports", "begin"),
+        rest("_machine", "_begin"),
     ],
 )
 def test_an_internal_defect_while_charging_opens_the_contactor(
@@ -166,8 +166,8 @@ def test_an_internal_defect_while_charging_opens_the_contactor(
 ) -> None:
     """In its decisions or observations at each call, or at the beginning of undocking."""
     charger.charge()
-    defect(monkeypatch, getattr(charger.node("docking_node"), part), method, once=part == "_reports")
-    if part == "_reports":
+    defect(monkeypatch, getattr(charger.node("docking_node"), part), method, once=method == "_begin")
+    if method == "_begin":
         assert charger.undock().error_name == "INTERNAL"
     wait_until(lambda: not charger.is_closed, "an open contactor", host(OPENS))
     wait_until(lambda: not charger.node("mock_servo_node").torque_enabled, "no torque")

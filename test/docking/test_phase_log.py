@@ -10,7 +10,7 @@ from typing import Any
 
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.observation import Command
-from deltacharger_docking.ros.reports import PhaseLog, changes
+from deltacharger_docking.ros.reports import PhaseLog
 from deltacharger_sim.virtual.virtual_charger import VirtualCharger
 
 from .dockings import quick_charger
@@ -28,7 +28,7 @@ def logged(run: VirtualCharger) -> tuple[list[str], list[str]]:
     def followed(command: Command) -> None:
         follow(command)
         status: Any = run.machine.status
-        log.show(status, changes(State(log.phase), command.states, status.state), run.now, "z")
+        log.show(status, [] if status.state is log.phase else [status.state], run.now, "z")
 
     run._follow = followed  # type: ignore[method-assign]
     return lines, warnings
