@@ -211,15 +211,9 @@ class Mount:
 
 
 def look_at(position: Sequence[float], point: Sequence[float]) -> Array:
-    """Return (4, 4) charger_base_T_camera of a camera at `position` that centres `point` (m), upright along +y.
-
-    Raises:
-        MountError: the camera would look straight up or down, or `point` equals `position`.
-    """
+    """Return (4, 4) charger_base_T_camera of a camera at `position` that centres `point` (m), upright along +y."""
     forward = np.subtract(point, position)
     right = np.cross(forward, (0.0, 1.0, 0.0))
-    if not np.linalg.norm(right) > 1e-9:
-        raise MountError("look_at", f"from {position} to {point} is straight up, down or nowhere; move one of them")
     forward, right = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
     return transform(np.column_stack([right, np.cross(forward, right), forward]), position)
 

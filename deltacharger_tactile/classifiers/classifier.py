@@ -122,23 +122,18 @@ def load(name: str) -> Mapping[str, Classifier]:
     """Return a model's classifiers by target; each file is read once per process.
 
     Raises:
-        ModelError: no such model, or one of its files is missing, damaged or from another generator.
+        ModelError: no such model, or one of its files is from another generator.
     """
     if name not in MODELS:
         raise ModelError(cut(name, 40), f"the packaged classifiers are {', '.join(MODELS)}")
-    return {target: _load(name, target, path(name, target)) for target in TARGETS}
+    return {target: _load(path(name, target)) for target in TARGETS}
 
 
 @functools.cache
-def _load(name: str, target: str, file: Path) -> Classifier:
-    try:
-        model = Classifier.load(file)
-    except FileNotFoundError as error:
-        raise ModelError(str(file), "it is missing from the package; install it again") from error
+def _load(file: Path) -> Classifier:
+    model = Classifier.load(file)
     wanted = TactileParameters().digest()
     if model.about.get(GENERATOR) != wanted:
         found = cut(str(model.about.get(GENERATOR)), 16)
         raise ModelError(str(file), f"it was trained on the generator {found} and this version has {wanted}")
-    if (model.name, model.target) != (name, target):
-        raise ModelError(str(file), f"it holds {model.name} for {model.target}")
     return model

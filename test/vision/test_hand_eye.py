@@ -245,7 +245,6 @@ def test_names_are_read_and_invalid_ones_refused_with_a_reason() -> None:
     board = Board("25h9", 3, 0.03)
     assert Board.named(board.name.upper(), board.size) == board
     for text, size, noun in (
-        ("apriltag:36h11", 0.04, "write apriltag"),
         ("charuco:4x4_50:5x4", 0.04, "write apriltag"),
         ("apriltag:36h11:587", 0.04, "586"),
         ("apriltag:36h9:0", 0.04, "36h11"),

@@ -66,11 +66,9 @@ def test_every_kind_of_depth_becomes_metres_with_nan(kind: type, unknown: float)
         (PIXELS, METRES[:, :50], "depth", "aligned"),
         (PIXELS[:, :, :2], METRES, "color", "RGBA"),
         (PIXELS.astype(np.uint16), METRES, "color", "8 bits"),
-        (PIXELS[:0], METRES[:0], "color", "shape"),
         (PIXELS, METRES[:0], "depth", "shape"),
         (PIXELS, METRES * 1000, "depth", "millimetres"),
         (PIXELS, -METRES, "depth", "negative"),
-        (PIXELS, METRES.astype(np.int32), "depth", "uint16"),
         (PIXELS[:, :60], METRES[:, :60], "intrinsics", "cuts or bins"),
         (PIXELS[:8, :8], METRES[:8, :8], "color", "16"),
     ],
@@ -229,10 +227,8 @@ def test_no_missing_and_extra_coefficients_are_zero() -> None:
     ("old", "new", "words"),
     [
         ("441.0, 0, 320.1, 0, 442.0, 199.2, 0, 0, 1", "0, 0, 0, 0, 0, 0, 0, 0, 0", "calibrate the camera first"),
-        ("441.0, 0, 320.1", "441.0, 320.1", "has 8 numbers"),
         ("441.0, 0, 320.1", "wide, 0, 320.1", "not a number"),
         ("plumb_bob", "equidistant", "equidistant"),
-        ("plumb_bob", "none", "without a model"),
         ("0.003]", "0.003, 0.5]", "rational_polynomial|plumb_bob"),
         ("image_width: 640\n", "", "image_width"),
         ("camera_name: oak", "binning_x: two", "roi or binning"),
@@ -246,17 +242,10 @@ def test_errors_of_a_bad_file_state_what_to_do(tmp_path: Path, old: str, new: st
     assert str(tmp_path) in caught.value.source
 
 
-@pytest.mark.parametrize(
-    ("readout", "seen"),
-    [
-        (Readout(), Intrinsics(640, 400, 441.0, 442.0, 320.1, 199.2)),
-        (Readout(10, 20, 621, 361, 2, 2), Intrinsics(310, 180, 220.5, 221.0, 154.8, 89.35)),
-    ],
-)
-def test_region_and_binning_give_the_intrinsics_of_the_image_that_is_sent(readout: Readout, seen: Intrinsics) -> None:
-    found = from_camera_info(640, 400, K, [], "none", readout=readout)
-    wanted = {name: value if name == "distortion" else pytest.approx(value) for name, value in vars(seen).items()}
-    assert vars(found) == wanted
+def test_region_and_binning_give_the_intrinsics_of_the_image_that_is_sent() -> None:
+    found = from_camera_info(640, 400, K, [], "none", readout=Readout(10, 20, 621, 361, 2, 2))
+    assert (found.width, found.height) == (310, 180)
+    assert (found.fx, found.fy, found.cx, found.cy) == pytest.approx((220.5, 221.0, 154.8, 89.35))
 
 
 RGB = np.random.default_rng(3).integers(0, 256, (18, 21, 3), dtype=np.uint8)
