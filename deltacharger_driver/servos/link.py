@@ -1,25 +1,37 @@
 # SPDX-License-Identifier: Apache-2.0
 """Servo registers by name over one serial port, with bounded retries and specific errors.
 
-Port and protocol are classes of the vendor's dynamixel-sdk with single methods replaced: they wait without polling,
-survive an unplugged cable, stuff what they send and check every reply. docs/servos.md lists each trap and its test.
+The vendor's dynamixel-sdk finds replies among noise. Of its port and protocol classes single methods are replaced: they
+wait without polling, survive an unplugged cable and unstuff rightly. What is sent, and which reply counts, is decided
+here.
 """
 
 from __future__ import annotations
 
+import struct
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from dynamixel_sdk.port_handler import PortHandler
 from dynamixel_sdk.protocol2_packet_handler import Protocol2PacketHandler
-from dynamixel_sdk.robotis_def import COMM_RX_TIMEOUT, COMM_SUCCESS, INST_PING, INST_READ, INST_WRITE
+from dynamixel_sdk.robotis_def import COMM_RX_TIMEOUT, COMM_SUCCESS
 
 from deltacharger_core.machine import BAUD_RATE
 from deltacharger_core.servo_types import SPEEDS
 from deltacharger_driver.errors import CorruptReply, DriverError, NoAnswer, PortGone, ServoFault
-from deltacharger_driver.packets import HEADER, PLAIN, STATUS, crc16, instruction_packet, sync_read_packet
+from deltacharger_driver.packets import (
+    HEADER,
+    PING,
+    PLAIN,
+    READ,
+    REBOOT,
+    STATUS,
+    WRITE,
+    crc16,
+    instruction_packet,
+    sync_read_packet,
+)
 from deltacharger_driver.parameters import REPLY_MARGIN, STALL_MARGIN
 from deltacharger_driver.ports import USB_LATENCY, RawPort, latency_timer
 from deltacharger_driver.servos.registers import ALERT, REGISTERS, describe_status_error
@@ -56,22 +68,17 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         self._raw: RawPort | None = None
         self._buffer = bytearray()
 
-    def setupPort(self, cflag_baud: int) -> bool:  # noqa: N802
-        """Open the port exclusively, or change the speed of the open port.
+    def open(self) -> None:
+        """Open the port exclusively.
 
         Raises:
             PortMissing, PortNotSerial, PortBusy, PortDenied, PortError: it cannot be opened.
-            PortGone: it was open and vanished.
         """
-        if self._raw is not None:
-            self._raw.set_speed(cflag_baud)
-        else:
-            self._raw = self.open_raw(str(self.port_name), cflag_baud)
-            self.latency = latency_timer(self.port_name)
-            self.is_open = True
-        self.tx_time_per_byte = 10_000.0 / cflag_baud
+        self._raw = self.open_raw(str(self.port_name), self.baudrate)
+        self.latency = latency_timer(self.port_name)
+        self.tx_time_per_byte = 10_000.0 / self.baudrate
+        self.is_open = True
         self.clearPort()
-        return True
 
     def open_raw(self, path: str, baud_rate: int) -> RawPort:
         """Open the bytes of a port."""
@@ -191,17 +198,8 @@ class ServoLinkCounters:
     retries: int = 0
 
 
-class ServoProtocol(Protocol2PacketHandler):  # type: ignore[misc]
-    """The SDK's Protocol 2.0: stuffs what it sends, and accepts only replies of the right servo and length.
-
-    Attributes:
-        counters: communication errors so far.
-    """
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.counters = ServoLinkCounters()
-        self._suspect = False
+class _Receiver(Protocol2PacketHandler):  # type: ignore[misc]
+    """The SDK's receiver of packets."""
 
     def removeStuffing(self, packet: list[int]) -> list[int]:  # noqa: N802
         """Undo the stuffing and cut the packet to its length (the SDK shifts bytes under its own comparison)."""
@@ -211,114 +209,6 @@ class ServoProtocol(Protocol2PacketHandler):  # type: ignore[misc]
         packet[_LENGTH : _LENGTH + 2] = (len(body) + 2).to_bytes(2, "little")
         del packet[_INSTRUCTION + len(body) + 2 :]
         return packet
-
-    def send(self, port: ServoPort, packets: bytes) -> None:
-        """Send whole packets in one write. First discard older bytes; after a failure, wait until the line is quiet.
-
-        Raises:
-            PortGone: the port vanished or accepts no bytes.
-        """
-        if self._suspect:
-            self._suspect = False
-            port.drain()
-        port.clearPort()
-        port.writePort(packets)
-
-    def rxPacket(self, port: ServoPort) -> tuple[Sequence[int], int]:  # noqa: N802
-        """Receive one packet from any servo, and count errors."""
-        intact = self._take_intact(port)
-        if intact:
-            return intact, COMM_SUCCESS
-        receive = super().rxPacket
-        packet, result = receive(port, *[False] * (receive.__code__.co_argcount - 2))  # `fast_option`, since SDK 3.8
-        if result == COMM_RX_TIMEOUT:
-            self.counters.timeouts += 1
-        elif result != COMM_SUCCESS:
-            self.counters.corrupt += 1
-        self._suspect = self._suspect or result != COMM_SUCCESS
-        return packet, int(result)
-
-    @staticmethod
-    def _take_intact(port: ServoPort) -> bytes:
-        """Return the received packet if nothing precedes it and it has no stuffing; else b''.
-
-        All other cases are left to the SDK, which handles each byte separately and costs ten times as much.
-        """
-        data = port.received()
-        end = _INSTRUCTION + int.from_bytes(data[_LENGTH:_INSTRUCTION], "little")
-        if len(data) < max(end, _SHORTEST) or not data.startswith(HEADER) or data[_INSTRUCTION] != STATUS:
-            return b""
-        packet = bytes(data[:end])
-        if packet.find(PLAIN, _INSTRUCTION) >= 0 or crc16(packet[:-2]) != packet[-2] | packet[-1] << 8:
-            return b""
-        port.discard(end)
-        return packet
-
-    def txRxPacket(self, port: ServoPort, txpacket: list[int]) -> tuple[Sequence[int] | None, int, int]:  # noqa: N802
-        """Send an instruction, stuffed unlike the SDK's own, and return (reply, result, error byte).
-
-        A reply of another servo or length is discarded: it is a late answer to an older request.
-        """
-        servo, instruction = txpacket[_ID], txpacket[_INSTRUCTION]
-        expected = 0
-        if instruction == INST_READ:
-            expected = txpacket[_PARAMETERS + 1] | txpacket[_PARAMETERS + 2] << 8
-        elif instruction == INST_PING:
-            expected = 3
-        self.send(port, instruction_packet(servo, instruction, bytes(txpacket[_INSTRUCTION + 1 : -2])))
-        port.setPacketTimeout(expected + 11)
-        while True:
-            reply, result = self.rxPacket(port)
-            if result != COMM_SUCCESS:
-                return reply, result, 0
-            if self._answers(reply, servo, expected):
-                return reply, result, reply[_ERROR]
-
-    def sync_read(
-        self, port: ServoPort, servos: Sequence[int], address: int, length: int, ahead: bytes = b""
-    ) -> dict[int, tuple[int, bytes]]:
-        """Read the same registers of several servos at once.
-
-        The SDK's GroupSyncRead gives up at the first missing reply, hides the error byte and returns 0 for missing
-        values. Here a servo without a good reply is absent from the result.
-
-        Args:
-            port: an open port.
-            servos: ids, in the order of their replies. By the protocol each waits for the one before, so those behind
-                a missing servo stay silent.
-            address: of the first register.
-            length: bytes.
-            ahead: packets without reply, sent in one write with the request: a second write would cost more than the
-                packets themselves.
-
-        Returns:
-            Error byte and data of each servo that answered.
-
-        Raises:
-            PortGone: the port vanished.
-        """
-        replies: dict[int, tuple[int, bytes]] = {}
-        self.send(port, ahead + sync_read_packet(address, length, servos))
-        port.setPacketTimeout((_SHORTEST + length) * len(servos))
-        while len(replies) < len(servos):
-            packet, result = self.rxPacket(port)
-            if result == COMM_SUCCESS:
-                servo = packet[_ID]
-                if servo in servos and servo not in replies and self._answers(packet, servo, length):
-                    replies[servo] = (packet[_ERROR], bytes(packet[_PARAMETERS : _PARAMETERS + length]))
-            elif result == COMM_RX_TIMEOUT or port.packet_timeout == 0:
-                break
-        return replies
-
-    def _answers(self, reply: Sequence[int], servo: int, expected: int) -> bool:
-        """Return whether `reply` is the answer of `servo` with `expected` bytes, or its rejection without data."""
-        length = len(reply) - 11
-        refused = length == 0 and reply[_ERROR] & 0x7F
-        if reply[_ID] == servo and (length == expected or refused):
-            return True
-        self.counters.late += 1
-        self._suspect = True
-        return False
 
 
 class ServoLink:
@@ -342,8 +232,9 @@ class ServoLink:
         self.baud_rate = baud_rate
         self._margin = reply_margin
         self._handler = self.clock = handler(port, baud_rate)
-        self._protocol = ServoProtocol()
-        self.counters = self._protocol.counters
+        self._receiver = _Receiver()
+        self.counters = ServoLinkCounters()
+        self._suspect = False  # whether bytes of an older reply may still come
 
     @property
     def is_open(self) -> bool:
@@ -356,10 +247,10 @@ class ServoLink:
         Raises:
             PortMissing, PortBusy, PortDenied, PortError: it cannot be opened.
         """
-        self._handler.baudrate = self.baud_rate
-        if not self._handler.openPort():
+        if self.baud_rate not in SPEEDS.values():
             speeds = ", ".join(map(str, SPEEDS.values()))
             raise DriverError(f"{self.port}: servos have no speed of {self.baud_rate} bit/s; give one of {speeds}")
+        self._handler.open()
 
     def close(self) -> None:
         """Release the port. Never raises; works from any thread."""
@@ -377,7 +268,7 @@ class ServoLink:
             CorruptReply: replies arrive, but none is intact.
             PortGone: the port vanished.
         """
-        return int(self._ask(servo, "ping", attempts, lambda: (*self._protocol.ping(self._handler, servo)[:2], 0)))
+        return int.from_bytes(self._ask(servo, "ping", instruction_packet(servo, PING), 3, attempts)[:2], "little")
 
     def read(self, servo: int, name: str, hurry: bool = False) -> int:
         """Return the register `name` of a servo.
@@ -397,13 +288,9 @@ class ServoLink:
 
     def read_bytes(self, servo: int, address: int, length: int, action: str = "", hurry: bool = False) -> bytes:
         """Return `length` bytes from `address` of a servo; errors as in `read`."""
+        packet = instruction_packet(servo, READ, struct.pack("<HH", address, length))
         action = action or f"read {length} bytes at {address}"
-        attempts = 1 if hurry else ATTEMPTS
-
-        def ask() -> tuple[Any, int, int]:
-            return self._protocol.readTxRx(self._handler, servo, address, length)  # type: ignore[no-any-return]
-
-        return bytes(self._ask(servo, action, attempts, ask, hurry))
+        return self._ask(servo, action, packet, length, 1 if hurry else ATTEMPTS, hurry)
 
     def write(self, servo: int, name: str, value: int, hurry: bool = False) -> None:
         """Write the register `name` of a servo.
@@ -425,12 +312,8 @@ class ServoLink:
 
     def write_bytes(self, servo: int, address: int, data: bytes, action: str = "", hurry: bool = False) -> None:
         """Write `data` from `address` of a servo on; errors as in `write`."""
-        action, values = action or f"write {len(data)} bytes at {address}", list(data)
-
-        def send() -> tuple[None, int, int]:
-            return None, *self._protocol.writeTxRx(self._handler, servo, address, len(values), values)
-
-        self._ask(servo, action, 1 if hurry else ATTEMPTS, send, hurry)
+        packet = instruction_packet(servo, WRITE, address.to_bytes(2, "little") + data)
+        self._ask(servo, action or f"write {len(data)} bytes at {address}", packet, 0, 1 if hurry else ATTEMPTS, hurry)
 
     def write_unanswered(self, servo: int, name: str, value: int) -> None:
         """Write a register without waiting for a reply; for a servo set to send none.
@@ -440,22 +323,52 @@ class ServoLink:
         """
         register = REGISTERS[name]
         address = register.address.to_bytes(2, "little")
-        self.send(instruction_packet(servo, INST_WRITE, address + register.to_bytes(value)))
+        self.send(instruction_packet(servo, WRITE, address + register.to_bytes(value)))
 
     def sync_read(
         self, servos: Sequence[int], address: int, length: int, ahead: bytes = b""
     ) -> dict[int, tuple[int, bytes]]:
-        """Return error byte and data of each servo that answered; see `ServoProtocol.sync_read`."""
+        """Read the same registers of several servos at once.
+
+        Args:
+            servos: ids, in the order of their replies. By the protocol each waits for the one before, so those behind
+                a missing servo stay silent.
+            address: of the first register.
+            length: bytes.
+            ahead: packets without reply, sent in one write with the request: a second write would cost more than the
+                packets themselves.
+
+        Returns:
+            Error byte and data of each servo that answered.
+
+        Raises:
+            PortGone: the port vanished.
+        """
+        replies: dict[int, tuple[int, bytes]] = {}
         self._handler.margin = self._margin + (STALL_MARGIN if len(servos) > 1 else 0.0)
-        return self._protocol.sync_read(self._handler, servos, address, length, ahead)
+        self.send(ahead + sync_read_packet(address, length, servos))
+        self._handler.setPacketTimeout((_SHORTEST + length) * len(servos))
+        while len(replies) < len(servos):
+            packet, result = self._receive()
+            if result == COMM_SUCCESS:
+                servo = packet[_ID]
+                if servo in servos and servo not in replies and self._answers(packet, servo, length):
+                    replies[servo] = (packet[_ERROR], bytes(packet[_PARAMETERS : _PARAMETERS + length]))
+            elif result == COMM_RX_TIMEOUT or self._handler.packet_timeout == 0:
+                break
+        return replies
 
     def send(self, packets: bytes) -> None:
-        """Send packets that get no reply (`protocol.sync_write_packet`).
+        """Send whole packets in one write. First discard older bytes; after a failure, wait until the line is quiet.
 
         Raises:
             PortGone: the port vanished or accepts no bytes.
         """
-        self._protocol.send(self._handler, packets)
+        if self._suspect:
+            self._suspect = False
+            self._handler.drain()
+        self._handler.clearPort()
+        self._handler.writePort(packets)
 
     def reboot(self, servo: int) -> None:
         """Restart a servo: torque off, latched errors cleared, values outside EEPROM lost.
@@ -463,31 +376,74 @@ class ServoLink:
         Raises:
             NoAnswer, CorruptReply, ServoFault, PortGone: as in `write`, without a retry.
         """
-        self._ask(servo, "reboot", 1, lambda: (None, *self._protocol.reboot(self._handler, servo)))
+        self._ask(servo, "reboot", instruction_packet(servo, REBOOT), 0, 1)
 
-    def _ask(
-        self, servo: int, action: str, attempts: int, question: Callable[[], tuple[Any, int, int]], hurry: bool = False
-    ) -> Any:
-        """Return the data of `question`, which returns (data, result, error byte); retry until the reply is good.
+    def _ask(self, servo: int, action: str, packet: bytes, expected: int, attempts: int, hurry: bool = False) -> bytes:
+        """Send a packet and return the `expected` bytes of its answer; retry until the reply is good.
 
         Raises:
             NoAnswer, CorruptReply, ServoFault, PortGone: as in `read`.
         """
-        self._handler.margin = self._margin if hurry else max(self._margin, PATIENCE)
-        began, result = self._handler.now(), COMM_RX_TIMEOUT
+        port = self._handler
+        port.margin = self._margin if hurry else max(self._margin, PATIENCE)
+        began, result = port.now(), COMM_RX_TIMEOUT
         for attempt in range(attempts):
             self.counters.retries += attempt > 0
-            data, result, code = question()
+            self.send(packet)
+            port.setPacketTimeout(expected + _SHORTEST)
+            reply, result = self._receive()
+            while result == COMM_SUCCESS and not self._answers(reply, servo, expected):
+                reply, result = self._receive()
             if result == COMM_SUCCESS:
-                if attempt and data is not None:  # a late answer to an earlier attempt; more come. Writes are read back
-                    self._handler.drain(self._handler.now() - began)
-                if code & ~ALERT:
+                if attempt and expected:  # a late answer to an earlier attempt; more come. Writes are read back
+                    port.drain(port.now() - began)
+                if (code := reply[_ERROR]) & ~ALERT:
                     raise ServoFault(servo, action, describe_status_error(code), code)
-                return data
-        raise self._failure(servo, action, result, attempts)
-
-    def _failure(self, servo: int, action: str, result: int, attempts: int) -> DriverError:
+                return bytes(reply[_PARAMETERS : _PARAMETERS + expected])
         device = f"servo {servo}"
         if result == COMM_RX_TIMEOUT:
-            return NoAnswer(device, action, attempts * self._handler.reply_timeout)
-        return CorruptReply(device, action, self._protocol.getTxRxResult(result).removeprefix("[TxRxResult] "))
+            raise NoAnswer(device, action, attempts * port.reply_timeout)
+        raise CorruptReply(device, action, self._receiver.getTxRxResult(result).removeprefix("[TxRxResult] "))
+
+    def _receive(self) -> tuple[Sequence[int], int]:
+        """Receive one packet from any servo, and count errors; return it with the SDK's result."""
+        intact = self._take_intact()
+        if intact:
+            return intact, COMM_SUCCESS
+        receive = self._receiver.rxPacket
+        options = [False] * (receive.__code__.co_argcount - 2)  # `fast_option`, since SDK 3.8
+        packet, result = receive(self._handler, *options)
+        if result == COMM_RX_TIMEOUT:
+            self.counters.timeouts += 1
+        elif result != COMM_SUCCESS:
+            self.counters.corrupt += 1
+        self._suspect = self._suspect or result != COMM_SUCCESS
+        return packet, int(result)
+
+    def _take_intact(self) -> bytes:
+        """Return the received packet if nothing precedes it and it has no stuffing; else b''.
+
+        All other cases are left to the SDK, which handles each byte separately and costs ten times as much.
+        """
+        data = self._handler.received()
+        end = _INSTRUCTION + int.from_bytes(data[_LENGTH:_INSTRUCTION], "little")
+        if len(data) < max(end, _SHORTEST) or not data.startswith(HEADER) or data[_INSTRUCTION] != STATUS:
+            return b""
+        packet = bytes(data[:end])
+        if packet.find(PLAIN, _INSTRUCTION) >= 0 or crc16(packet[:-2]) != packet[-2] | packet[-1] << 8:
+            return b""
+        self._handler.discard(end)
+        return packet
+
+    def _answers(self, reply: Sequence[int], servo: int, expected: int) -> bool:
+        """Return whether `reply` is the answer of `servo` with `expected` bytes, or its rejection without data.
+
+        Another one is a late answer to an older request.
+        """
+        length = len(reply) - _SHORTEST
+        refused = length == 0 and reply[_ERROR] & 0x7F
+        if reply[_ID] == servo and (length == expected or refused):
+            return True
+        self.counters.late += 1
+        self._suspect = True
+        return False
