@@ -893,23 +893,10 @@ CONSTANTS: dict[str, tuple[float, float]] = {
     "delay of an opening, s": (energy._OPENING_TIME, 0.1),
     "opening, s": (energy.OPEN_TIMEOUT, 1.0),
     "second sources, s": (energy._DUPLICATE_SOURCE_TIMEOUT, 25.0),
-    "probe, s": (energy._PROBE_TIMEOUT, 2.0),
-    "other services, s": (context.SERVICE_TIMEOUT, 3.0),
-    "LOCATE, s": (algorithm._LOCATE_TIMEOUT, 10.0),
-    "APPROACH, s": (standoff.APPROACH_TIMEOUT, 20.0),
-    "CONTACT, s": (press.CONTACT_TIMEOUT, 45.0),
-    "MEASURE, s": (touch.MEASURE_TIMEOUT, 10.0),
-    "ALIGN, s": (press.ALIGN_TIMEOUT, 45.0),
-    "RETRACT, s": (release.RETRACT_TIMEOUT, 20.0),
     "push above the band, A": (parameters._PUSH_ABOVE, 0.2),
     "step above the band, A": (press._STEP_ABOVE, 0.1),
-    "overshoots": (press._OVERSHOOTS_MAX, 3),
     "pull, s": (release._RELEASE_TIME, 1.0),
     "lift before a move sideways, m": (release.LIFT, 0.008),
-    "corrections": (touch.ALIGNMENTS_MAX, 15),
-    "unsure estimates": (touch._UNSURE_MAX, 4),
-    "unsure estimates in one place": (touch._UNSURE_HERE_MAX, 2),
-    "image without depth, m": (algorithm._IMAGE_RANGE_MAX, 0.4),
 }
 
 
