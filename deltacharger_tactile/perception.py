@@ -67,7 +67,7 @@ class FrameWindow:
         self._arrived = threading.Condition()
         self._closed = False
 
-    def add(self, frame: Frame) -> None:
+    def add_frame(self, frame: Frame) -> None:
         """Add a frame and wake waiting threads."""
         with self._arrived:
             self._frames.append((time.monotonic(), frame))

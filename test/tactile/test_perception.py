@@ -128,7 +128,7 @@ def frame(sampled: float) -> Frame:
 
 def ask(window: FrameWindow, wanted: int, then: list[Frame]) -> list[Frame]:
     """Request `wanted` fresh frames; `then` arrives during the wait."""
-    sender = threading.Timer(0.02, lambda: [window.add(each) for each in then])
+    sender = threading.Timer(0.02, lambda: [window.add_frame(each) for each in then])
     sender.start()
     try:
         return window.fresh(wanted, 0.1 if wanted > len(then) or then[0].sampled < NOW else 60.0)
@@ -140,7 +140,7 @@ def ask(window: FrameWindow, wanted: int, then: list[Frame]) -> list[Frame]:
 def test_frames_from_before_the_request_never_count(jump: float) -> None:
     window = FrameWindow(lambda: NOW)
     for index in range(50):
-        window.add(frame(NOW + jump - 0.5 + 0.01 * index))  # the clock was set back by `jump` since
+        window.add_frame(frame(NOW + jump - 0.5 + 0.01 * index))  # the clock was set back by `jump` since
     after = [frame(NOW + 0.01 * index) for index in range(1, 4)]
     assert ask(window, 3, after) == after
     with pytest.raises(Refused, match="0 of 1"):
