@@ -106,7 +106,8 @@ class MisalignmentNode(Node):
 
     def _receive(self, message: TactileFrame) -> None:
         try:
-            self._window.add_frame(to_frame(message, time.monotonic() - stamp_age(self.get_clock(), message.header.stamp)))
+            sampled = time.monotonic() - stamp_age(self.get_clock(), message.header.stamp)
+            self._window.add_frame(to_frame(message, sampled))
         except FrameError:
             self._log.error(
                 f"tactile_frame is {message.rows} × {message.columns} with {len(message.left)} and "
