@@ -108,7 +108,7 @@ def camera(options: argparse.Namespace) -> Result:
         doubts, remarks = judged.doubts, [*judged.notes, *judged.doubts]
 
         def save(path: str) -> None:
-            judged.found.mount.save(path, _about(options, board, judged))
+            judged.found.mount.save(path, _about(options, judged))
 
         return conclude(options, bool(doubts), save, _as_text(judged), _as_mapping(judged), remarks)
 
@@ -180,10 +180,6 @@ def _point_stddev(found: Calibration) -> float:
     return math.sqrt(float(np.trace(found.point_covariance(np.array(_DOCK)))))
 
 
-def _rms(values: Any) -> float:
-    return math.sqrt(float(np.mean(np.square(values))))
-
-
 def _as_mapping(judged: _Judged) -> dict[str, Any]:
     """Return the mount and its quality in SI units, for the JSON object."""
     found = judged.found
@@ -205,44 +201,31 @@ def _as_text(judged: _Judged) -> str:
     """Return everything for people."""
     found, kept = judged.found, judged.found.fit.kept
     place, spread = found.mount.pose[:3, 3] / MILLIMETRE, np.sqrt(np.diag(found.mount.covariance))
-    moves = np.linalg.norm(found.fit.apart.moves, axis=1)[kept] / MILLIMETRE
-    normal = ", ".join(f"{value:.3f}" for value in found.board[:, 2])
-    angles, errors = (np.degrees(each) for each in found.joints)
     turned = " ".join(f"{value:.6f}" for value in quaternion(found.mount.pose[:3, :3]))
+    errors = ", ".join(f"{at:.2f} ± {stddev / MILLIMETRE:.2f}" for at, stddev in zip(place, spread[:3], strict=True))
     judges = f"{len(found.held_out)} images: {held_out_rms(found) / MILLIMETRE:.2f} mm rms at the board"
     rows = [
         ("views", f"{len(kept)} show the board, {np.count_nonzero(kept)} agree"),
-        ("position", _three(place, spread[:3] / MILLIMETRE, 2) + " mm in charger_base"),
+        ("position", f"{errors} mm in charger_base"),
         ("orientation", f"{turned} (x y z w)"),
         ("  error", " ".join(f"{value:.3f}" for value in np.degrees(spread[3:])) + " ° about x y z (1 σ)"),
         ("believed", f"{judged.away[0] / MILLIMETRE:.1f} mm and {math.degrees(judged.away[1]):.2f} ° from there"),
         ("at the dock", f"{_point_stddev(found) / MILLIMETRE:.2f} mm (1 σ), the board's offset included"),
-        ("reprojection", f"{_rms(found.reprojection[kept]):.2f} px rms"),
-        ("residuals", f"{_rms(moves):.2f} mm rms, {moves.max():.2f} mm at most, at the board"),
+        ("reprojection", f"{math.sqrt(np.mean(np.square(found.reprojection[kept]))):.2f} px rms"),
         ("held out", judges),
-        ("scatter", f"{found.fit.spread.pixel:.3f} px a corner, {found.fit.spread.arm / MILLIMETRE:.3f} mm a position"),
         ("board size", f"{found.size:.4f} ± {found.size_stddev:.4f} of the stated size, by the platform's moves"),
-        ("board normal", f"({normal}) in end_effector, ± {math.degrees(found.board_stddev):.2f} °"),
-        ("arm angles", _three(angles, errors, 3) + " ° off, as estimated from the images"),
     ]
     return "\n".join(f"{name:<13} {text}" for name, text in rows)
 
 
-def _three(values: Any, errors: Any, digits: int) -> str:
-    return ", ".join(f"{value:.{digits}f} ± {error:.{digits}f}" for value, error in zip(values, errors, strict=True))
-
-
-def _about(options: argparse.Namespace, board: Board, judged: _Judged) -> dict[str, Any]:
-    """Return the origin of the mount for its file; lengths in m."""
+def _about(options: argparse.Namespace, judged: _Judged) -> dict[str, Any]:
+    """Return the origin of the mount, for its file."""
     return {
         "by": "deltacharger calibrate camera",
         "date": f"{datetime.datetime.now(datetime.timezone.utc):%Y-%m-%dT%H:%MZ}",
         "views": Path(options.views).absolute().name,
         "sha256": sha256(Path(options.views) / VIEWS),
         "geometry": Path(options.geometry).name if options.geometry else "built-in",
-        "board": board.name,
-        "board_size": board.size,
-        "board_offset": [MILLIMETRE * getattr(options, f"board_{axis}_mm") for axis in "xyz"],
         "images": len(judged.seen.names),
         "held_out_rms": round(held_out_rms(judged.found), 6),
         "doubts": judged.doubts,

@@ -149,11 +149,6 @@ def _doubts(found: GeometryCalibration) -> list[str]:
     return doubts
 
 
-def _worst(found: GeometryCalibration) -> list[int]:
-    """Return the rows with the largest residuals, worst first."""
-    return [int(row) for row in np.argsort(-np.linalg.norm(found.fit.residuals, axis=1))[:_WORST]]
-
-
 def _lines(found: GeometryCalibration, rows: Any) -> list[int]:
     return [found.measurements.lines[row] for row in rows]
 
@@ -181,20 +176,17 @@ def _as_text(found: GeometryCalibration) -> str:
     count, kept = len(found.measurements), int(found.held_out.sum())
     before, after = found.held_out_rms
     lengths = np.linalg.norm(found.fit.residuals, axis=1)
-    worst = ", ".join(f"line {found.measurements.lines[row]} {_mm(lengths[row])}" for row in _worst(found))
+    worst = ", ".join(
+        f"line {found.measurements.lines[row]} {_mm(lengths[row])}" for row in np.argsort(-lengths)[:_WORST]
+    )
+    hint = "" if found.fit.scatter < _UNEXPLAINED else ": do the joints have play, or is the measurement coarser?"
     rows = [
         ("all rows", f"{count}: rms {_mm(rms(found.before))} mm before, {_mm(rms(found.fit.residuals))} mm after"),
         ("held out", f"{kept} of them: rms {_mm(before)} mm before, {_mm(after)} mm after a fit to the others"),
-        ("scatter", f"{found.fit.scatter:.2f} of what measurement and encoder explain{_scatter_hint(found)}"),
+        ("scatter", f"{found.fit.scatter:.2f} of what measurement and encoder explain{hint}"),
         ("residuals", f"largest, mm: {worst}"),
     ]
     return "\n".join([*_table(found), "", *(f"{name:<10} {text}" for name, text in rows)])
-
-
-def _scatter_hint(found: GeometryCalibration) -> str:
-    if found.fit.scatter < _UNEXPLAINED:
-        return ""
-    return ": do the joints have play, or are the measurements less accurate than stated?"
 
 
 def _table(found: GeometryCalibration) -> list[str]:
@@ -321,14 +313,9 @@ def _record(arm: ArmClient, pose: PlannedPose, recording: PoseRecording, answers
 
 
 def position_of(text: str) -> Vector | None:
-    """Return the position (m) of a text with three numbers in mm; None for any other text.
-
-    Separators are spaces, commas or semicolons. If spaces separate, a comma may be the decimal point.
-    """
-    words = text.replace(";", " ").split()
-    words = [word.replace(",", ".") for word in words] if len(words) == 3 else re.split(r"[\s,;]+", text)
+    """Return the position (m) of three numbers in mm, separated by spaces, commas or semicolons; else None."""
     try:
-        x, y, z = (float(word) * MILLIMETRE for word in words)
+        x, y, z = (float(word) * MILLIMETRE for word in re.split(r"[\s,;]+", text))
     except ValueError:
         return None
     return (x, y, z) if all(map(math.isfinite, (x, y, z))) else None

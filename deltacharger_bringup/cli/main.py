@@ -42,32 +42,14 @@ COMMANDS: dict[str, Command] = {
     "fault": (".simulate.fault", "inject a fault into the emulated hardware"),
     "doctor": (".doctor.doctor", "check computer, ports and devices; say how to correct them"),
     "calibrate": ("", "measure this charger's dimensions, servos, camera and pads"),
-    "calibrate kinematics": (
-        ".calibrate_kinematics.kinematics",
-        "measure poses of the arm, and fit its geometry to them",
-    ),
-    "calibrate servos": (
-        ".calibrate_servos.servos",
-        "measure stiffness, torque constant, friction and play of the running charger's servos",
-    ),
-    "calibrate tactile": (
-        ".calibrate_tactile.tactile",
-        "find gains, dead taxels and constant errors of one rig's pads from dockings at known poses",
-    ),
-    "calibrate camera": (
-        ".calibrate_camera.camera",
-        "find the pose of the camera from images of a board on the platform",
-    ),
+    "calibrate kinematics": (".calibrate_kinematics.kinematics", "measure poses of the arm, and fit its geometry"),
+    "calibrate servos": (".calibrate_servos.servos", "measure stiffness, torque constant, friction and play"),
+    "calibrate tactile": (".calibrate_tactile.tactile", "find gains, dead taxels and errors of one rig's pads"),
+    "calibrate camera": (".calibrate_camera.camera", "find the camera's pose from images of a board"),
     "tactile": ("", "record the pads of a charger"),
-    "tactile record": (
-        ".tactile_record.record",
-        "dock the running charger at known offsets and record its pads; repeat the command to resume",
-    ),
+    "tactile record": (".tactile_record.record", "dock at known offsets and record the pads; repeat it to resume"),
     "vision": ("", "find electrodes in images"),
-    "vision detect": (
-        ".vision.detect",
-        "find a terminal's electrodes in an image or in a recording",
-    ),
+    "vision detect": (".vision.detect", "find a terminal's electrodes in an image or in a recording"),
     "replay": (".replay.replay", "explain and draw a recorded docking, or list recordings"),
     "view": (".view.view", "show a running or recorded charger in 3D"),
 }

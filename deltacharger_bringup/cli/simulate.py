@@ -26,7 +26,7 @@ from deltacharger_core import environment, real_time, runtime, signals
 from deltacharger_core.parameters import ParameterError
 from deltacharger_ros.outcomes import json_ready
 from deltacharger_sim.charger.fault_channel import SOCKET, ask
-from deltacharger_sim.charger.faults import KINDS, Fault, Kind
+from deltacharger_sim.charger.faults import KINDS, Fault
 from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 
 _QUIET = 0.6  # s without a byte from any host; then no node is left that could switch off torque or contactor
@@ -117,14 +117,9 @@ def _inject(options: argparse.Namespace, wanted: Fault) -> Result:
         "amount": wanted.how_much if kind.amount else None,
         "for_s": wanted.last or None,
     }
-    text = f"{_named(injected)}: {kind.text}{_until(wanted, kind)}"
+    until = f", for {wanted.last:g} s" if wanted.last else ", until --clear"
+    text = f"{_named(injected)}: {kind.text}{until if kind.lasts else ''}"
     return Result(text, {**injected, "active": reply["active"]})
-
-
-def _until(wanted: Fault, kind: Kind) -> str:
-    if not kind.lasts:
-        return ""
-    return f", for {wanted.last:g} s" if wanted.last else ", until --clear"
 
 
 def _clear(options: argparse.Namespace) -> Result:
@@ -195,7 +190,4 @@ def _none_runs(options: argparse.Namespace) -> str:
         return f"no simulated charger runs on the ports in {options.directory}"
     where = " or ".join(str(domain) for domain in _domains())
     space = f" under the namespace '{options.namespace}'" if options.namespace else ""
-    return (
-        f"no simulated charger runs in ROS domain {where}{space}: start one with `deltacharger up`, or give the folder "
-        "of its ports with --directory"
-    )
+    return f"no simulated charger runs in ROS domain {where}{space}: start one with `deltacharger up`"

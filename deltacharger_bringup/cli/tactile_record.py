@@ -24,12 +24,24 @@ from deltacharger_core import environment
 from deltacharger_docking.codes import Code, Rejected, Unreachable
 from deltacharger_docking.observation import DockingOutcome
 from deltacharger_kinematics.geometry import Vector
-from deltacharger_records.datasets.session import OFFSETS_MM, REPEATS, SETS, TILTED, Part
+from deltacharger_records.datasets.session import (
+    OFFSETS_MM,
+    REPEATS,
+    SETS,
+    TILTED,
+    Docking,
+    Journal,
+    Mismatch,
+    NotKept,
+    Part,
+    Settings,
+    TouchSession,
+    check_places,
+)
 
 if TYPE_CHECKING:
     from deltacharger_docking.machine import DockingMachine
     from deltacharger_records.datasets.charger import RecordingCharger
-    from deltacharger_records.datasets.journal import Docking, Journal, Settings
 
 _TRIES = 3  # at one docking with a retriable failure; other failures end the command
 _PAUSE = 3.0  # s before the next try, so that a silent device may recover
@@ -63,7 +75,6 @@ def record(options: argparse.Namespace) -> Result:
     """Record the missing dockings of a set."""
     out, part = file_to_write("--out", options.out, ".npz"), _part(options)
     environment.prepare()
-    from deltacharger_records.datasets.journal import Journal, Mismatch, Settings
     from deltacharger_tactile.errors import DatasetError
 
     with wrong_input(Mismatch, DatasetError, file=options.out):
@@ -180,7 +191,6 @@ class _Recording:
     def _machine(self, charger: RecordingCharger) -> DockingMachine:
         """Return the machine with docking_node's settings, after a check that all positions are reachable."""
         from deltacharger_docking.machine import DockingMachine
-        from deltacharger_records.datasets.session import check_places
 
         if not charger.has_docking_node:
             log_line("docking_node is not running: using its default parameters")
@@ -237,7 +247,6 @@ class _Recording:
     def _session(self, charger: RecordingCharger, machine: DockingMachine, numbers: Sequence[int]) -> DockingOutcome:
         """Make the dockings of these numbers; all frames are stored when this returns."""
         from deltacharger_records.datasets.charger import SessionKeeper
-        from deltacharger_records.datasets.session import NotKept, TouchSession
 
         settings, commands = self._settings, self._commands()
         keeper = SessionKeeper(charger, self._journal, self._part, settings, numbers, self._report)

@@ -32,8 +32,7 @@ from deltacharger_docking.ros.inputs import Inputs
 from deltacharger_docking.ros.services import Services
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_records.datasets.arm_client import ArmError, ArmGuest
-from deltacharger_records.datasets.journal import Docking, Journal, Settings
-from deltacharger_records.datasets.session import NotKept, Part, Rested, TouchSession
+from deltacharger_records.datasets.session import Docking, Journal, NotKept, Part, Rested, Settings, TouchSession
 from deltacharger_records.node_parameters import docking_settings
 from deltacharger_ros.clock import before_now
 from deltacharger_ros.log import Log

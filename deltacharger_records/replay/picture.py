@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Picture of a docking, live or recorded: why it ended, over the phases of the algorithm."""
+"""Picture of a docking, live or recorded: why it ended, over the phases of the algorithm.
+
+Its colours are those of all pictures; the five stay distinct for colour-blind readers.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deltacharger_docking.clearance import CLEARANCE_SIGMAS, least_clearance
-from deltacharger_records.plotting import BAND, BLUE, FAINT, GREEN, ORANGE, PURPLE, RED, STYLE
 from deltacharger_records.replay.run import Run, Touch
 from deltacharger_records.replay.words import in_unit, why
 
@@ -20,6 +22,23 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+INK, FAINT, PAPER = "#22303c", "#51606e", "#f6f7f8"
+BLUE, ORANGE, GREEN, PURPLE, RED = "#1a70e8", "#df8712", "#14b377", "#5c1d8c", "#981018"
+STYLE: Any = {
+    "font.size": 9.0,
+    "axes.edgecolor": "#9aa5b1",
+    "axes.labelcolor": INK,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlesize": 10.0,
+    "axes.facecolor": PAPER,
+    "axes.axisbelow": True,
+}
+BAND = (0.4, 0.5)
+"""Contact current (A) that the paper holds at the dock."""
 _SIZE = (13.0, 10.4)  # in
 _PHASE_COLOURS = {
     "locate": "#e6eaf1",

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_kinematics.geometry import DeltaGeometry
-from deltacharger_records.plotting import BAND, BLUE, GREEN, ORANGE, PURPLE, RED
+from deltacharger_records.replay.picture import BAND, BLUE, GREEN, ORANGE, PURPLE, RED
 from deltacharger_records.view import shapes as view_scene
 from deltacharger_records.view.shapes import FULL, Boxes
 

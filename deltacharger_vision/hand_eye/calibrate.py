@@ -21,7 +21,6 @@ from deltacharger_core.arrays import Array
 from deltacharger_core.machine import JOINTS
 from deltacharger_vision.hand_eye.fit import (
     ANGLES,
-    BOARD,
     CAMERA,
     FEWEST,
     SCALE,
@@ -89,11 +88,6 @@ class Calibration:
         """Return the covariance (3, 3) m², by the mount alone, of a `point` (3,) m in charger_base."""
         lever = np.hstack([np.eye(3), -cross_matrix(np.asarray(point) - self.mount.pose[:3, 3])])
         return np.asarray(lever @ self.mount.covariance @ lever.T)
-
-    @property
-    def board_stddev(self) -> float:
-        """Standard deviation (rad) of the board's orientation about its worst axis."""
-        return float(np.sqrt(np.linalg.eigvalsh(self.fit.covariance[BOARD, BOARD])[-1]))
 
 
 def calibrate(views: Sequence[View], intrinsics: Intrinsics, beliefs: Beliefs) -> Calibration:

@@ -31,7 +31,7 @@ WITNESS = pytest.param(signal.SIGINT, marks=pytest.mark.witness)
 @pytest.mark.parametrize(
     ("text", "position"),
     [
-        *(("1 2 3", (1, 2, 3)), ("1,5 -2,5 3", (1.5, -2.5, 3)), ("1.5,-2.5,3", (1.5, -2.5, 3)), ("1; 2; 3", (1, 2, 3))),
+        *(("1 2 3", (1, 2, 3)), ("1.5,-2.5,3", (1.5, -2.5, 3)), ("1; 2; 3", (1, 2, 3))),
         *(("1 2", None), ("1,2,3,4", None), ("1 2 x", None), ("1 2 nan", None), ("", None)),
     ],
 )

@@ -14,14 +14,17 @@ from deltacharger_core.machine import DOCKING_JITTER
 from deltacharger_docking.codes import Busy, Code, Rejected, State, Unreachable
 from deltacharger_docking.observation import Observation, Request, Service
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_records.datasets.journal import Docking, Journal, Mismatch, Settings
 from deltacharger_records.datasets.session import (
     OFFSETS_MM,
     TILTED,
     CommandedPose,
+    Docking,
+    Journal,
+    Mismatch,
     NotKept,
     Part,
     Rested,
+    Settings,
     TouchSession,
     check_places,
 )

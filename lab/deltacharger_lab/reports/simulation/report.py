@@ -25,7 +25,7 @@ from deltacharger_lab.reports.simulation.scenes import (
     models_here,
     rms,
 )
-from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, RED
+from deltacharger_records.replay.picture import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, RED
 
 _COLOURS = {LIGHT: BLUE, MUJOCO: ORANGE, MUJOCO_FAST: GREEN, MUJOCO_USUAL: PURPLE}
 _FLOOR = 1e-7  # % of force error, drawn for smaller ones

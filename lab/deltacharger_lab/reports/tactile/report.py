@@ -21,7 +21,7 @@ from deltacharger_lab.reports.tactile.measure import BINS, NONE, WINDOWS, judge_
 from deltacharger_lab.reports.tactile.plan import KINDS, SETS, TARGETS, TactilePlan, absent, default, kind, title
 from deltacharger_lab.second.parameters import SecondParameters
 from deltacharger_lab.training.reliability import NOMINAL
-from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE
+from deltacharger_records.replay.picture import BLUE, FAINT, GREEN, INK, ORANGE
 from deltacharger_tactile.parameters import TactileParameters
 
 COLOURS = {"shallow": ORANGE, "deep": BLUE, "physical": GREEN}

@@ -33,7 +33,7 @@ from deltacharger_lab.reports.vision.conditions import (
     members,
 )
 from deltacharger_lab.reports.vision.measure import FIELDS, LEVELS, MOUNT_FIELDS, judge, judge_mount, times
-from deltacharger_records.plotting import BLUE, FAINT, ORANGE, RED
+from deltacharger_records.replay.picture import BLUE, FAINT, ORANGE, RED
 
 FULL, QUICK = 150, 15
 """Images of a usual row."""
