@@ -6,6 +6,7 @@ What they mean is in board/protocol.py and servos/. Here is what a listener need
 
 from __future__ import annotations
 
+import functools
 import struct
 import zlib
 from collections.abc import Sequence
@@ -222,6 +223,7 @@ def sync_write_packet(address: int, length: int, rows: Sequence[tuple[int, bytes
     return instruction_packet(BROADCAST, SYNC_WRITE, struct.pack("<HH", address, length) + data)
 
 
-def sync_read_packet(address: int, length: int, servos: Sequence[int]) -> bytes:
+@functools.cache
+def sync_read_packet(address: int, length: int, servos: tuple[int, ...]) -> bytes:
     """Return the instruction that reads the same registers of several servos."""
     return instruction_packet(BROADCAST, SYNC_READ, struct.pack("<HH", address, length) + bytes(servos))

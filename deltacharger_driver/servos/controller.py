@@ -452,7 +452,8 @@ class ServoController:
                 found.append(f"servo {servo} has restarted on its own")
             elif self._report.missing[index]:
                 found.append(f"servo {servo} does not answer; check its supply and its cable")
-            if errors := describe_hardware_error(self._report.hardware_error[index]):
+            if bits := self._report.hardware_error[index]:
+                errors = describe_hardware_error(bits)
                 found.append(f"servo {servo} has latched: {errors}; remove the cause, then call reboot_servos")
         return found
 

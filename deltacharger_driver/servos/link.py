@@ -346,7 +346,7 @@ class ServoLink:
         """
         replies: dict[int, tuple[int, bytes]] = {}
         self._handler.margin = self._margin + (STALL_MARGIN if len(servos) > 1 else 0.0)
-        self.send(ahead + sync_read_packet(address, length, servos))
+        self.send(ahead + sync_read_packet(address, length, tuple(servos)))
         self._handler.setPacketTimeout((_SHORTEST + length) * len(servos))
         while len(replies) < len(servos):
             packet, result = self._receive()
