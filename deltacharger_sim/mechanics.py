@@ -576,7 +576,8 @@ class Mechanics(Motion):
         motors, gears, self.magnet_force, self.contact_force, rx, ry = self._found
         if at < _END:
             motors = [self._motor(index, joint[5], dt) for index, joint in enumerate(joints)]
-        self._drive(*motors)
+        a, b, c = motors
+        self.torques = (a, b, c)
         self.gear = (gears[0], gears[1], gears[2])
         self.rub = (rx, ry)
         if self._cable is not None:

@@ -45,7 +45,6 @@ class Motion(ABC):
         angles: of the arms, rad.
         rates: rad/s.
         torques: of the motors, N·m, before gear friction.
-        voltage: of the servos' supply under load, V.
         slack: by which play lets each encoder run ahead of its arm, rad.
         tilt: of the platform about x and y, rad; 0 without compliance.
         contact_force: total normal force on the electrodes, N.
@@ -63,7 +62,6 @@ class Motion(ABC):
         self._target_z = parameters.target.z if parameters.target.present else math.inf
         self.position = start
         self.velocity = self.angles = self.rates = self.torques = self.slack = _NONE
-        self.voltage = parameters.servo.supply_voltage
         self.gains: Vector = (1.0, 1.0, 1.0)
         self.brakes: Vector = (1.0, 1.0, 1.0)
         self.rubs: Vector = (parameters.servo.friction,) * 3
@@ -119,12 +117,6 @@ class Motion(ABC):
     def onset(self) -> float:
         """Gap at which the faces first touch, m; 0 if nothing leans."""
         return 0.0
-
-    def _drive(self, a: float, b: float, c: float) -> None:
-        """Set the torques of the motors, N·m, which load their supply."""
-        servo = self._parameters.servo
-        drawn = (abs(a) + abs(b) + abs(c)) / servo.torque_constant
-        self.torques, self.voltage = (a, b, c), servo.supply_voltage - servo.supply_resistance * drawn
 
     @abstractmethod
     def step(

@@ -17,7 +17,6 @@ from deltacharger_core.machine import (
     MAGNET_FLOOR,
     MAGNET_FORCE,
     MAGNET_WIDTH,
-    NOMINAL_VOLTAGE,
     SERVO_DAMPING,
     SERVO_INERTIA,
     SERVO_STIFFNESS,
@@ -49,8 +48,6 @@ class ServoParameters(Bounded):
     inertia: float = number(SERVO_INERTIA, 0.0001, 0.05, "kg·m²", "rotor, reflected through the gear")
     current_noise: float = number(0.008, 0.0, 0.2, "A", "standard deviation of one current reading without load")
     current_noise_share: float = number(0.02, 0.0, 0.5, "", "further deviation as a share of the current")
-    supply_voltage: float = number(NOMINAL_VOLTAGE, 9.5, 16.0, "V", "output of the regulator")
-    supply_resistance: float = number(0.05, 0.0, 0.7, "Ω", "resistance of regulator and cable, shared by the servos")
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from deltacharger_core.arrays import Array
+from deltacharger_core.machine import NOMINAL_VOLTAGE
 from deltacharger_core.servo_types import MX_64
 from deltacharger_driver.emulators.power import Outputs, StageReading, TargetPort
 from deltacharger_driver.servos.registers import TICK
@@ -78,7 +79,7 @@ class Snapshot:
 
 _APART = 0.001  # m of gap that ends a docking; a smaller one is a bounce
 _NOTHING = 1e-9  # s
-TEMPERATURE = 28.0  # °C of each servo: a docking heats it by 2 K
+TEMPERATURE = 28.0  # °C of each servo; a docking heats it by 2 K
 _CURRENT_UNIT = MX_64.current_unit  # A, step of a reading
 T = TypeVar("T")
 
@@ -242,7 +243,7 @@ class World:
         elif noise > 0.0:
             current += self._random.gauss(0.0, noise)
         angle, current = round(angle / TICK) * TICK, round(current / _CURRENT_UNIT) * _CURRENT_UNIT
-        return angle, mechanics.rates[index], current, mechanics.voltage, TEMPERATURE
+        return angle, mechanics.rates[index], current, NOMINAL_VOLTAGE, TEMPERATURE
 
     def taxels(self) -> tuple[Array, Array]:
         """Return both pads' raw readings (10, 10) N now."""

@@ -489,7 +489,7 @@ class MujocoMechanics(Motion):
         self.velocity = (speed[x], speed[y], speed[z])
         self.angles = (place[first], place[second], place[third])
         self.rates = (speed[first], speed[second], speed[third])
-        self._drive(force[0], force[1], force[2])
+        self.torques = (force[0], force[1], force[2])
         if self._leaning is not None:
             self.contact_force, self.tilt, self._bars = self._leaning.read(data)
         else:
