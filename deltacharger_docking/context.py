@@ -144,7 +144,6 @@ class Context:
         self._override: Piece | None = None  # in place of the line under way
         self._set_back = 0.0
         self._last_valid = self._last_felt = -math.inf
-        self._states: list[State] = []
         self._requests: list[Request] = []
         self._decisions: list[Decision] = []
 
@@ -256,11 +255,9 @@ class Context:
             trajectory = self._override
         if trajectory and not self.observation.torque_enabled:
             trajectory = None  # limp servos refuse it
-        states, decisions = tuple(self._states), tuple(self._decisions)
-        limits = self.limits if self.energise else None
-        command = Command(trajectory, tuple(self._requests), self.energise, limits, states, decisions, self.waits)
-        self._override = None
-        self._requests, self._states, self._decisions = [], [], []
+        limits, decisions = self.limits if self.energise else None, tuple(self._decisions)
+        command = Command(trajectory, tuple(self._requests), self.energise, limits, decisions, self.waits)
+        self._override, self._requests, self._decisions = None, [], []
         return command
 
     @property
@@ -302,8 +299,6 @@ class Context:
 
     def enter(self, state: State, limit: float) -> None:
         """Begin a phase that may last `limit` seconds."""
-        if state is not self.status.state:
-            self._states.append(state)
         self.status.state = state
         self.deadline = self.time + limit
 

@@ -200,7 +200,6 @@ class Command:
 
     A trajectory replaces the one that the arm follows. Its times count from the observation's, and its last point
     holds. It is only a piece of the way (see `trajectory_feed`): None = continue with the last one, empty = hold.
-    `states` are those entered since the last command, in order. Each is to be published, even if it lasted no tick.
     `waits` gives the time until which nothing is decided, so a shell in virtual time may take longer steps. Such steps
     must end before the pieces of a line run out, and the next observation must hold the readings between them if the
     wait needs readings.
@@ -210,7 +209,6 @@ class Command:
     requests: tuple[Request, ...] = ()
     energise: bool = False
     limits: ChargeLimits | None = None
-    states: tuple[State, ...] = ()
     decisions: tuple[Decision, ...] = ()
     waits: Wait = NEXT
 

@@ -226,15 +226,19 @@ class Watches:
         if live.was_closed and not math.isfinite(observation.charge_current):
             return codes.PowerStale("the charge current is no longer measured; check the power stage")
         current, most = observation.charge_current, (context.profile.current if context.profile else 0.0) + _OVER
-        for name, good in (("reverse", not current < _BACK), ("current", not current > most)):
-            if good:
-                live.sound[name] = context.time
-        if current < _MUCH_BACK or context.time - live.sound["reverse"] > _VOLTAGE_TIME:
-            return _flows_back(f"{current:.1f} A flow", current < _MUCH_BACK)
-        if context.time - live.sound["current"] > _VOLTAGE_TIME:
-            limit = f"{current:.1f} A exceed the limit of {most:.1f} A"
-            return codes.ChargeOvercurrent(f"{limit}; have the power stage's limiter checked")
-        return None
+        flows = _flows_back(f"{current:.1f} A flow", current < _MUCH_BACK) if current < _BACK else None
+        limit = f"{current:.1f} A exceed the limit of {most:.1f} A; have the power stage's limiter checked"
+        much = codes.ChargeOvercurrent(limit) if current > most else None
+        if current < _MUCH_BACK:
+            return flows
+        exceeds = self._lasting(live, "current", much, _VOLTAGE_TIME)
+        return self._lasting(live, "reverse", flows, _VOLTAGE_TIME) or exceeds
+
+    def _lasting(self, live: Live, name: str, problem: DockingError | None, longest: float) -> DockingError | None:
+        """Return a problem that lasts for more than so many seconds."""
+        if problem is None:
+            live.sound[name] = self._context.time
+        return problem if self._context.time - live.sound[name] > longest else None
 
     def _refusal(self, live: Live, refusal: str) -> DockingError | None:
         """Open at once; wait for charger_power to report the fault that may have caused the refusal."""
@@ -257,14 +261,10 @@ class Watches:
         if live is None or not live.was_closed or context.profile is None:
             return None
         least = context.parameters.battery_voltage_min
-        problems = {"battery": battery_problem(context, least), "target": target_problem(context, context.profile)}
         sags = context.observation.battery_voltage < least
-        for name, problem in problems.items():
-            if problem is None:
-                live.sound[name] = context.time
-            elif context.time - live.sound[name] > (_SAG_TIME if sags and name == "battery" else _VOLTAGE_TIME):
-                return problem
-        return None
+        battery, longest = battery_problem(context, least), _SAG_TIME if sags else _VOLTAGE_TIME
+        target = self._lasting(live, "target", target_problem(context, context.profile), _VOLTAGE_TIME)
+        return self._lasting(live, "battery", battery, longest) or target
 
     def _contact(self) -> DockingError | None:
         context = self._context

@@ -83,9 +83,9 @@ class Judge:
         verdict = judge(estimate, LIMITS) if good and estimate is not None else None
         self.passed = [*self.passed, verdict] if verdict in (Verdict.SAFE, Verdict.PROBABLY_SAFE) else []
 
-    def check_command(self, observation: Observation, command: Command, contact_current: float) -> None:
+    def check_command(self, observation: Observation, command: Command, state: State, contact_current: float) -> None:
         """Check the machine's command."""
-        for state in command.states:
+        if state is not self.states[-1]:
             assert state in LEGAL[self.states[-1]], f"{self.states[-1].name} → {state.name}"
             self.states.append(state)
         self.asked.update((request.number, request.service) for request in command.requests)
@@ -205,7 +205,8 @@ class Run:
         return seen
 
     def _check(self, command: Command) -> None:
-        self.judge.check_command(self._seen, command, self.machine.status.contact_current)
+        status = self.machine.status
+        self.judge.check_command(self._seen, command, status.state, status.contact_current)
         self._follow(command)
 
     def step(self) -> None:
