@@ -16,16 +16,10 @@ from deltacharger_driver.servos.registers import BusSettings
 
 from ..emulated_ports import board, board_port, one_cable, servo_port, servos
 from ..plants import BenchArm
-from .servo_host import Host
 from .servo_rig import START, Rig
 from .virtual_line import Clock, Line
 
 __all__ = ("board", "board_port", "one_cable", "servo_port", "servos")
-
-
-@pytest.fixture
-def host() -> Host:
-    return Host()
 
 
 @pytest.fixture

@@ -2,7 +2,7 @@
 """Required behaviour under every fault: of docking by phase, and of the drivers by kind.
 
 Three drivers check it. In virtual time: test/docking/test_machine_faults.py shows each fault of the inputs to docking's
-machine in every phase, test/driver/test_servo_emulator.py each kind to the servos' driver while the arm moves.
+machine in every phase, test/driver/test_servo_faults.py each kind to the servos' driver while the arm moves.
 On the bytes of real nodes: test_fault_matrix.py, under a real goal. By request: test_fault_channel.py.
 
 The limits are those of docs/docking.md. A board without packets opens within 0.1 s. The contactor's holder releases it

@@ -2,7 +2,7 @@
 """Every fault of the hardware on the bytes of real nodes while a charger charges: its effects, its code, its recovery.
 
 One charger serves all cells, and no node is restarted. The servos' driver is shown the same table in virtual time
-(test/driver/test_servo_emulator.py), docking's machine what it sees (test/docking/test_machine_faults.py).
+(test/driver/test_servo_faults.py), docking's machine what it sees (test/docking/test_machine_faults.py).
 """
 
 from __future__ import annotations
