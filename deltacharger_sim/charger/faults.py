@@ -198,7 +198,7 @@ _ID = Amount(f"an id of 1 to {SERVOS}", 1, 1, SERVOS, _IDS)
 _CODE = Amount("a fault code of ChargerPower, 1 to 9", 9, 1, 9, range(1, 10))
 _TAXEL = Amount("a taxel, 0 to 99 left and 100 to 199 right, row by row from the top", 44, 0, 199, range(200))
 _PORTS = [number for number, kind in enumerate(TARGET_KINDS.values(), 1) if "port" in kind]
-_ROW = Amount(f"a row of 1 to {len(TARGET_KINDS)}", 19, 1, len(TARGET_KINDS), _PORTS)
+_ROW = Amount(f"a kind of 1 to {len(TARGET_KINDS)}", 19, 1, len(TARGET_KINDS), _PORTS)
 _BOOT = Amount("a boot of 0 to 10 s", 0.0, 0.0, 10.0)
 
 KINDS: dict[str, Kind] = {
@@ -230,7 +230,9 @@ KINDS: dict[str, Kind] = {
     "board_deaf": Kind("nothing reaches the board", _wire, ("board", "deaf")),
     "board_delay": Kind("packets of the board arrive `amount` s late", _wire, ("board", "delay"), amount=_DELAY),
     "board_unplugged": Kind("the board's port disappears", _unplugged, ("board",)),
-    "target_port": Kind("the target's port behaves as row `amount` of docs/targets.md", _target_port, amount=_ROW),
+    "target_port": Kind(
+        "the target's port behaves as kind `amount` of config/target_kinds.yaml", _target_port, amount=_ROW
+    ),
     **{
         f"{device}_{name}": Kind(f"a share `amount` of {whose} is {text}", _share, (to, name), True, servo, _SHARE)
         for device, to, whose, servo in (
