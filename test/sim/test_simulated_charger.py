@@ -15,20 +15,19 @@ from pathlib import Path
 import pytest
 import serial
 
-from deltacharger_driver.packets import PING
+from deltacharger_driver.packets import PING, instruction_packet
 from deltacharger_scenes.scene import parse_scene
 from deltacharger_sim.charger.faults import KINDS, FaultOrder, Hardware
 from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 from deltacharger_sim.charger.simulation import Simulation
 
 from ..chargers import Process, wait_until
-from ..driver.servo_host import Host
 
 
 def answer(port: str, servo: int) -> bytes:
     """Return the reply to a ping, 14 bytes; empty if there is none within 0.2 s."""
     with serial.Serial(port, 1_000_000, timeout=0.2) as line:
-        line.write(Host.packet(servo, PING))
+        line.write(instruction_packet(servo, PING))
         return bytes(line.read(14))
 
 
