@@ -42,9 +42,10 @@ def scene(options: argparse.Namespace) -> Result:
             wrong = next(problems(loaded), None)
             if wrong is not None:
                 raise SceneError(loaded.file, *wrong)
-            warnings = list(_warnings(loaded))
+            warnings = [f"{key}: {text}" for key, text in servos_apart(loaded.nodes, loaded.parameters)]
             remarks += [f"{loaded.file}: warning: {warning}" for warning in warnings]
-            report |= {"kind": _kind(loaded), "ok": True, "warnings": warnings}
+            kind = "hardware" if loaded.touches_hardware else "mocks" if loaded.simulation is None else "simulated"
+            report |= {"kind": kind, "ok": True, "warnings": warnings}
             if len(names) == 1:
                 lines += ["", *_explained(loaded, report, options.all)]
         except SceneError as error:
@@ -59,12 +60,6 @@ def scene(options: argparse.Namespace) -> Result:
     return Result("\n".join([*table, *lines]), details, code, remarks)
 
 
-def _warnings(scene: Scene) -> Iterator[str]:
-    """Yield nodes with different files of measured servos."""
-    for key, problem in servos_apart(scene.nodes, scene.parameters):
-        yield f"{key}: {problem}"
-
-
 def _explained(scene: Scene, report: dict[str, Any], everything: bool) -> Iterator[str]:
     """Yield what a scene sets and cannot do, and add it to a report; `everything`: all its keys."""
     keys = list(describe(scene))
@@ -72,10 +67,8 @@ def _explained(scene: Scene, report: dict[str, Any], everything: bool) -> Iterat
     report |= {"keys": keys, "lacks": lacks}
     for key in keys:
         if key["set"] or everything:
-            yield f"{key['key']} = {_plain(key['value'])}{_unit(key)}"
-            about = [text for text in (key["doc"], _range(key), "" if key["set"] else "default") if text]
-            if about:
-                yield f"    {'; '.join(about)}"
+            yield f"{key['key']} = {_plain(key['value'])} {key['unit']}".rstrip()
+            yield from [f"    {key['doc']}{'' if key['set'] else ' (default)'}"] if key["doc"] else []
     if not everything:
         yield f"\n{sum(not key['set'] for key in keys)} more keys have their default; --all shows them."
     yield from (f"without {name}: {lack}" for name, lack in lacks.items())
@@ -130,23 +123,7 @@ def _data(value: Any) -> Any:
     return value
 
 
-def _kind(scene: Scene) -> str:
-    if scene.simulation is not None:
-        return "simulated"
-    return "hardware" if scene.touches_hardware else "mocks"
-
-
 def _plain(value: Any) -> str:
     if isinstance(value, list | tuple):
         return "[" + ", ".join(_plain(item) for item in value) + "]"
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _unit(key: dict[str, Any]) -> str:
-    return f" {key['unit']}" if key["unit"] else ""
-
-
-def _range(key: dict[str, Any]) -> str:
-    if key["minimum"] is None or key["maximum"] is None:
-        return ""
-    return f"{_plain(key['minimum'])} to {_plain(key['maximum'])}"

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deltacharger_bringup.cli.calibrate_kinematics import position_of
 from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.calibration.data import plan, read_measurements
 
@@ -26,17 +25,6 @@ pytestmark = pytest.mark.ros
 
 NOMINAL = DeltaGeometry()
 WITNESS = pytest.param(signal.SIGINT, marks=pytest.mark.witness)
-
-
-@pytest.mark.parametrize(
-    ("text", "position"),
-    [
-        *(("1 2 3", (1, 2, 3)), ("1.5,-2.5,3", (1.5, -2.5, 3)), ("1; 2; 3", (1, 2, 3))),
-        *(("1 2", None), ("1,2,3,4", None), ("1 2 x", None), ("1 2 nan", None), ("", None)),
-    ],
-)
-def test_common_forms_of_positions_are_accepted(text: str, position: tuple[float, ...] | None) -> None:
-    assert position_of(text) == (None if position is None else pytest.approx([1e-3 * value for value in position]))
 
 
 class Operator(Process):
@@ -97,16 +85,8 @@ def operator(charger: Any, measured: Path) -> Iterator[Callable[..., Operator]]:
     running: list[Operator] = []
 
     def begin(*words: str) -> Operator:
-        command = (
-            sys.executable,
-            "-m",
-            "deltacharger_bringup.cli",
-            "calibrate",
-            "kinematics",
-            "--measure",
-            str(measured),
-        )
-        running.append(Operator(*command, "--namespace", charger.namespace, *words))
+        command = (sys.executable, "-m", "deltacharger_bringup.cli", "calibrate", "kinematics", "--measure")
+        running.append(Operator(*command, str(measured), "--namespace", charger.namespace, *words))
         return running[-1]
 
     yield begin
@@ -172,15 +152,3 @@ def test_after_any_end_the_torque_is_off_and_measurements_are_kept(
     assert json.loads(user.out[0])["success"] is False
     wait_until(lambda: not torque(charger), "torque off")
     assert len(read_measurements(measured)) == 1
-
-
-@pytest.mark.night
-def test_a_docking_takes_the_arm_over(operator: Callable[..., Operator], charger: Any) -> None:
-    user = operator()
-    user.wait_for_question()
-    charger.charge()  # its torque was not switched off
-    assert user.end() == 1
-    assert any("docking_node is at work" in line for line in user.err)
-    assert operator().end() == 1, "docked"
-    assert torque(charger)
-    charger.go_home()

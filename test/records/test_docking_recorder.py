@@ -11,12 +11,11 @@ import os
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
-from random import Random
 from typing import Any
 
 import pytest
 
-from .docking_tapes import BEGAN, RECORDED, decision, docking, in_order, measured, raw, readings, refused, result, state
+from .docking_tapes import BEGAN, RECORDED, docking, in_order, measured, raw, readings, refused, result, state
 
 pytest.importorskip("mcap", reason="records with deltacharger[record]")
 
@@ -113,13 +112,6 @@ def test_a_fault_while_charging_names_the_record(tmp_path: Path) -> None:
     assert "Charging was ended after 2.0 s by NO_CONTACT" in why(found)
 
 
-def test_an_undocking_without_a_docking_leaves_no_record(tmp_path: Path) -> None:
-    recording = recorder(tmp_path)
-    tape = [state(0.0, State.IDLE), state(1.0, State.RETRACT), state(1.1, State.IDLE), *readings(1.2, 1.4)]
-    finish(recording, play(recording, tape))
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_consecutive_dockings_are_two_records(tmp_path: Path) -> None:
     recording = recorder(tmp_path)
     first = docking(*refused(Code.NO_CONTACT, "nothing is there"), until=4.0)
@@ -211,23 +203,6 @@ def numbers(messages: list[Raw]) -> list[int]:
     return [message.received for message in messages]
 
 
-def test_messages_pass_in_order_and_every_state_passes() -> None:
-    random = Random(1)
-    for _ in range(30):
-        tap, kept, states, now = Gate(["state"]), list[Raw](), list[int](), 0.0
-        tap.open()
-        for number in range(80):
-            now += random.uniform(0.0, 3.0)
-            act, topic = random.choice(("", "rest", "wake", "stir")), random.choice(("state", "servo", "pads"))
-            if act:
-                getattr(tap, act)(*(() if act == "wake" else (now,)))
-            kept += tap.offer(now, numbered(topic, number))
-            states += [number] if topic == "state" else []
-        kept += tap.close()
-        assert numbers(kept) == sorted(set(numbers(kept)))
-        assert [message.received for message in kept if message.topic == "state"] == states
-
-
 def test_hours_of_charging_are_thinned_and_the_seconds_around_an_event_are_complete() -> None:
     """At 5 messages a second; the gate assumes no rate."""
     tap, kept, lengths = Gate(["state"]), list[Raw](), list[int]()
@@ -254,14 +229,3 @@ def test_a_docking_ends_if_its_node_ends_but_not_if_the_node_returns(tmp_path: P
         assert recording.path is not None
     recording.tick(now + 8.0 + LOST_AFTER, alive=False)
     assert only(tmp_path).name.endswith("-UNFINISHED.mcap")
-
-
-def test_a_routine_decision_counts_as_an_event_once_per_state(tmp_path: Path) -> None:
-    recording = recorder(tmp_path)
-    charging = (state(3.0, State.CHARGING, charging=True, docked=True), *readings(3.0, 33.0, 5.0))
-    blind = [decision(10.0 + number, State.CHARGING, "blind") for number in range(20)]
-    play(recording, in_order([*docking(), *charging, *blind]))
-    recording.close()
-    times = replay(only(tmp_path)).motion.arrays()["time"]
-    around = [sum(abs(time - 9.0 - later) < 1.0 for time in times) for later in (0.0, 15.0)]
-    assert around[0] > 40 > 5 > around[1], "25 a second around the first, one a second later"
