@@ -471,12 +471,13 @@ class ContactorGuard:
                 return True
         self.open()
         opened_at = self._clock()
-        with self._power_seen:
-            return self._power_seen.wait_for(lambda: self._seen_open_since(opened_at), _CONFIRM_TIME)
 
-    def _seen_open_since(self, instant: float) -> bool:
-        power = self._power
-        return power is not None and power.time >= instant and not power.power.contactor_closed
+        def is_seen() -> bool:
+            power = self._power
+            return power is not None and power.time >= opened_at and not power.power.contactor_closed
+
+        with self._power_seen:
+            return self._power_seen.wait_for(is_seen, _CONFIRM_TIME)
 
 
 def _in_contact(sample: TactileSample) -> bool:

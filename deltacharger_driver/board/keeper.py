@@ -85,7 +85,7 @@ class PassThrough:
         while (now := time.monotonic()) < min(end, self._asked + _QUIET):
             time.sleep(min(_LOOK, end - now))
 
-    def take(self, data: bytes) -> None:
+    def take_bytes(self, data: bytes) -> None:
         """Take bytes from the servos' bus; called by the link's reader."""
         with self._lock:
             if self._is_open:
@@ -112,7 +112,7 @@ class PassThrough:
         return received
 
     def next_event(self, now: float) -> float:
-        """Return inf: `take` wakes the terminal."""
+        """Return inf: `take_bytes` wakes the terminal."""
         return math.inf
 
 
@@ -128,7 +128,7 @@ def servos_behind(port: str) -> Iterator[str]:
         NoServosBehindBoard: no servos are connected to this board.
     """
     with contextlib.ExitStack() as stack:
-        link = BoardLink(port, on_servo=lambda data: servos.take(data))
+        link = BoardLink(port, on_servo=lambda data: servos.take_bytes(data))
         stack.callback(link.close)
         if not link.open().carries_servos:
             raise NoServosBehindBoard(port)
@@ -270,7 +270,7 @@ class BoardKeeper:
 
     def _take_servo(self, data: bytes) -> None:
         self._last_packet = time.monotonic()
-        self.servos.take(data)
+        self.servos.take_bytes(data)
 
     def _take_boot(self) -> None:
         self.guard.interrupted()

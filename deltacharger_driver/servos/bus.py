@@ -90,22 +90,15 @@ def _demanded(servo: ServoType, current_max: float) -> dict[str, tuple[int, int,
     They were set on purpose.
     """
     least, rating = current_to_counts(current_max, servo), servo.temperature_limit
-    unit, highest = servo.voltage_unit, servo.voltage_max * servo.voltage_unit
+    unit, lowest, highest = servo.voltage_unit, servo.voltage_min, servo.voltage_max
+    supply = f"in units of {unit:g} V, for a supply of 12 V"
     return {
         "drive_mode": (0, 0, "set the sign with the parameter 'direction'"),
         "homing_offset": (0, 0, "set the zero with the parameter 'zero_ticks'"),
         "secondary_id": (255, 255, "otherwise it obeys packets for another servo too"),
         "temperature_limit": (60, rating, f"{rating} °C is the servo's rating; below 60 °C normal work would stop it"),
-        "min_voltage": (
-            servo.voltage_min,
-            round(_TRIPS_BELOW / unit),
-            f"in units of {unit:g} V; at 12 V it must neither trip nor miss a failing supply",
-        ),
-        "max_voltage": (
-            round(_TRIPS_ABOVE / unit),
-            servo.voltage_max,
-            f"in units of {unit:g} V; at 12 V it must not trip, and beyond {highest:g} V the servo is at risk",
-        ),
+        "min_voltage": (lowest, round(_TRIPS_BELOW / unit), supply),
+        "max_voltage": (round(_TRIPS_ABOVE / unit), highest, supply),
         "pwm_limit": (servo.pwm_limit, servo.pwm_limit, "a lower limit reduces speed and force"),
         "current_limit": (
             least,

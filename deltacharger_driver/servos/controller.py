@@ -213,11 +213,6 @@ class ServoController:
         self._thermal = [ThermalModel(self._drive.servo) for _ in range(count)]
 
     @property
-    def has_request(self) -> bool:
-        """Whether a request waits for the next cycle."""
-        return not self._requests.empty()
-
-    @property
     def is_releasing(self) -> bool:
         """Whether torque is about to be switched off by request."""
         return bool(self._switching_off)

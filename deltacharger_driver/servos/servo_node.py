@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """servo_node: the arm's three servos on ROS.
 
-Publishes: servo_state (reliable, depth 1, at `rate`), joint_states, /diagnostics (1 Hz; up to 5 Hz while trajectories
-    are refused).
+Publishes: servo_state (reliable, depth 1, at `rate`), joint_states, /diagnostics (1 Hz).
 Subscribes: joint_trajectory and charger_power (reliable, depth 64; the newest accepted trajectory is followed).
 Serves: set_torque, reboot_servos. Calls: set_contactor, if it exists.
 Parameters: port, baud_rate, ids, rate, zero_ticks, direction, current_max, joint_min, joint_max,
@@ -73,14 +72,13 @@ from deltacharger_ros.diagnostics import Diagnostics
 from deltacharger_ros.executor import order_age
 from deltacharger_ros.log import Log
 from deltacharger_ros.messages import seconds
-from deltacharger_ros.on_demand import BoundedTopic, Received
+from deltacharger_ros.on_demand import BoundedTopic
 from deltacharger_ros.parameters import declare_all, declare_with_servos, reject_unknown, show_values, was_given
 from deltacharger_ros.qos import LATEST, SERVICE
 
 KEPT = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=64, reliability=ReliabilityPolicy.RELIABLE)
 """charger_power and joint_trajectory: read in every cycle, so that a flood from one sender does not hide the others."""
 
-_LISTENERS_EVERY = 10  # cycles between two checks for subscribers of joint_states
 _HOLDER = "servo_node"  # anyone may open; the name only shows who did
 _LARGEST_POWER = 1024  # bytes of a charger_power; a valid one has 80
 LONGEST_SECRET = 64  # characters of header.frame_id
@@ -89,8 +87,6 @@ _LARGEST_HOLD = 512  # bytes of a trajectory without points
 _Line = tuple[Sender, int, int]
 
 _DIAGNOSTICS_PERIOD = 1.0  # s
-_REFUSAL_PERIOD = 0.2  # s between two diagnostics while trajectories are refused
-_LISTEN_EVERY = 10  # cycles between two checks for trajectories while torque is off
 _LATE = 0.5  # of a period; a cycle that begins later than this is late
 _BOARD_TIMEOUT = 10.0  # s at start to wait for the servo port of tactile_node
 _POLL_PERIOD = 0.05  # s between two checks for this port
@@ -185,8 +181,6 @@ class StatePublishers:
     """
 
     def __init__(self, node: Node, qos: QoSProfile, frame_id: str, joint_prefix: str = "") -> None:
-        self._cycle = 0
-        self._joints_wanted = False
         self._state = ServoState(name=list(JOINTS))
         self._joint = JointState(name=[f"{joint_prefix}{name}" for name in JOINTS])
         self._state.header.frame_id = self._joint.header.frame_id = frame_id
@@ -208,10 +202,7 @@ class StatePublishers:
         state.torque_enabled, state.valid = list(report.torque_enabled), list(report.valid)
         state.thermal_reserve = array("f", report.thermal_reserve)
         self._states.publish(state)
-        if self._cycle % _LISTENERS_EVERY == 0:
-            self._joints_wanted = self._joints.get_subscription_count() > 0
-        self._cycle += 1
-        if self._joints_wanted and not math.isnan(sum(report.angle)):
+        if self._joints.get_subscription_count() and not math.isnan(sum(report.angle)):
             joint = self._joint
             joint.header.stamp, joint.position, joint.velocity = stamp, state.position, state.velocity
             joint.effort = array("d", [current * torque_constant for current in report.current])
@@ -252,10 +243,11 @@ class TrajectoryInbox:
         """
         budget = _LARGEST + KEPT.depth * _LARGEST_HOLD
         for received in reversed(self._topic.take()):
-            sender = _sender(received)
-            if sender is None:
+            secret = received.frame_id(LONGEST_SECRET)
+            if secret is None:
                 self._refuse(f"its header cannot be read, or its frame_id is longer than {LONGEST_SECRET} characters")
                 continue
+            sender = Sender(secret, received.publisher)
             allowed = guard.may_move(sender, state)
             size = len(received.data)
             if not allowed and size > _LARGEST_HOLD:
@@ -307,12 +299,6 @@ class TrajectoryInbox:
     def _refuse(self, reason: str) -> None:
         self.refused += 1
         self.last_refusal = str(TrajectoryRefused(reason))
-
-
-def _sender(received: Received) -> Sender | None:
-    """Return the sender; None if its frame_id is unreadable or too long."""
-    secret = received.frame_id(LONGEST_SECRET)
-    return None if secret is None else Sender(secret, received.publisher)
 
 
 def _waypoint(point: JointTrajectoryPoint) -> ServoWaypoint:
@@ -437,16 +423,14 @@ class ServoNode(Node):
                 controller.request("torque_off")
             now = time.monotonic()
             self._cycles.count(late=now - due > _LATE * self._period)
-            if controller.phase is ServoPhase.ON or controller.has_request or self._cycles.total % _LISTEN_EVERY == 0:
-                self._take_trajectory()  # a trajectory from before torque went on is refused, not kept
+            self._take_trajectory()  # without torque too: one from before torque went on is refused, not kept
             report = controller.cycle()
             if self.context.ok():
                 self._states.publish(report, controller.bus.drive.torque_constant)
             if closing and off:
                 return
             now = time.monotonic()
-            refused = self._inbox.refused > self._refused
-            if now - diagnosed >= (_REFUSAL_PERIOD if refused else _DIAGNOSTICS_PERIOD):
+            if now - diagnosed >= _DIAGNOSTICS_PERIOD:
                 diagnosed = now
                 self._publish_diagnostics(report)
             due = max(due + self._period, now)  # when late, skip missed cycles instead of catching up
