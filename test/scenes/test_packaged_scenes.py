@@ -34,14 +34,6 @@ def printed(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:
     return dict(json.loads(capsys.readouterr().out))
 
 
-def test_a_scene_says_what_it_cannot_do_unless_another_node_does_it(capsys: pytest.CaptureFixture[str]) -> None:
-    assert printed(capsys, "scene", "tactile_lab")["scenes"][0]["lacks"]["docking_node"] == "no actions dock and undock"
-    for scene, replaced in (("mocks", "servo_node"), ("simulated", "servo_node")):
-        assert replaced not in printed(capsys, "scene", scene)["scenes"][0]["lacks"]
-    assert main(["scene", "tactile_lab"]) == 0
-    assert "without servo_node: no arm moves" in capsys.readouterr().out
-
-
 @pytest.mark.parametrize("name", HARDWARE)
 def test_on_hardware_it_names_the_missing_port(name: str, context: Any, namespace: str) -> None:
     scene = load_scene(name)

@@ -270,14 +270,6 @@ def test_nodes_follow_a_position_gain_and_take_measured_servos_from_their_file()
     assert scene.node_parameters("kinematics_node", {})["gravity"] == [0.0, -9.81, 0.0]
 
 
-def test_check_reports_wrong_parameters(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "mine.yaml"
-    path.write_text("{simulation: {}, parameters: {docking_node: {servo_stifness: 6.0}}}", encoding="utf-8")
-    assert main(["scene", str(path), "--json"]) == 2
-    (report,) = json.loads(capsys.readouterr().out)["scenes"]
-    assert (report["ok"], report["key"]) == (False, "parameters.docking_node.servo_stifness")
-
-
 @pytest.mark.parametrize(
     ("files", "warned"),
     [

@@ -24,7 +24,6 @@ from ..chargers import Process, wait_until
 from ..marks import rest
 from ..quick import QUICK
 from ..running_charger import GOAL, RunningCharger, node_command, up
-from ..running_charger import node_command as arguments
 from ..waiting import host
 from .processes import ALARM, CONTAINER, OPEN, first, lives, needs_containers
 
@@ -141,27 +140,3 @@ def test_a_process_ends_with_its_starter(
     node = int(starter.out[0])
     starter.process.kill()
     wait_until(lambda: not lives(node), f"the end of {what}")
-
-
-MINE = {
-    "nodes": ["servo_node", "tactile_node", "kinematics_node"],
-    "ports": {"servo": "/dev/no_servo", "board": "/dev/no_board"},
-}
-
-
-@pytest.mark.rest
-@pytest.mark.parametrize(
-    ("name", "words", "expected"),
-    [
-        ("servo_node", (), "/dev/no_servo: there is no such port"),
-        ("kinematics_node", ("-p", "no_such_parameter:=1"), "no_such_parameter"),
-        ("kinematics_node", ("-r", "__ns:=/bad name"), "ROS refuses"),
-    ],
-)
-def test_a_wrong_configuration_ends_a_node_with_2_and_its_reason(
-    start: Callable[..., Process], namespace: str, name: str, words: tuple[str, ...], expected: str
-) -> None:
-    process = start(*arguments(parse_scene(MINE, "mine"), name, namespace), *words)
-    assert process.end() == 2
-    assert any(expected in line for line in process.err), process.err
-    assert not any("Traceback" in line for line in process.err)

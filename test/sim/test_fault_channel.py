@@ -6,7 +6,6 @@ from __future__ import annotations
 import contextlib
 import json
 import socket
-import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -134,49 +133,8 @@ def test_an_invalid_line_is_refused_and_the_next_one_is_served(
     assert ask(place, {"command": "active"}, BOUND) == {"success": True, "active": []}
 
 
-@contextlib.contextmanager
-def other_program(place: Path, part: bytes, pause: float) -> Iterator[None]:
-    """A program that sends `part` to each client, forever if there is a pause."""
-    listener, ending = socket.socket(socket.AF_UNIX), threading.Event()
-    listener.bind(str(place))
-    listener.listen()
-
-    def serve() -> None:
-        while not ending.is_set():
-            client, _ = listener.accept()
-            with contextlib.suppress(OSError), client:
-                client.recv(1000)
-                client.sendall(part)
-                while pause and not ending.wait(pause):
-                    client.sendall(part)
-
-    thread = threading.Thread(target=serve, daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        ending.set()
-        with contextlib.suppress(OSError), connected(place):
-            pass
-        thread.join(BOUND)
-        listener.close()
-
-
-def test_an_endless_answer_is_given_up(place: Path) -> None:
-    with other_program(place, b"x" * 100_000, 0.001), pytest.raises(OSError, match="not a charger"):
-        ask(place, {"command": "active"}, BOUND)
-
-
-@pytest.mark.parametrize(
-    "reply",
-    [
-        b"nonsense\n",
-        b'{"success": true}\n',
-        b'{"success": true, "active": [{"kind": "board_drop"}]}\n',
-    ],
-)
-def test_another_answering_program_is_reported(place: Path, capsys: pytest.CaptureFixture[str], reply: bytes) -> None:
-    with other_program(place, reply, 0.0):
-        code, out, err = run(capsys, "fault", "--clear", "--directory", ".")
+def test_another_answering_program_is_reported(served: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    served(lambda request: {"success": True, "active": [{"kind": "board_drop"}]})
+    code, out, err = run(capsys, "fault", "--clear", "--directory", ".")
     assert (code, out) == (1, "")
     assert "not a charger" in err

@@ -4,14 +4,12 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
-from deltacharger_driver.board.protocol import BoardFault
 from deltacharger_sim.pads import ContactSource
 from deltacharger_sim.parameters import (
     ContactParameters,
@@ -177,22 +175,3 @@ def yawed_target_comes_nearer_on_that_side_and_loads_that_pad(arm: ArmFactory, s
 
 def test_a_target_yawed_about_y_comes_nearer_on_that_side_and_loads_that_pad(arm: ArmFactory) -> None:
     yawed_target_comes_nearer_on_that_side_and_loads_that_pad(arm, ContactSource, SOFT)
-
-
-def test_a_bar_that_lifts_while_live_ends_charging_and_is_recorded(arm: ArmFactory) -> None:
-    pitched = arm(WorldParameters(target=TargetParameters(tilt_x=math.radians(2.3))))
-    pitched.dock()
-    pitched.charge()
-    world, record = pitched.world, pitched.world.record
-    assert world.circuit.current == pytest.approx(10.0)
-    assert record.lifted_live == 0
-    # Both bars press, the upper one with less: its contact heats more than half of a level one.
-    assert 0.0 < world.mechanics.bars.upper < world.mechanics.bars.lower
-    assert record.bar_heat > 0.7
-    pitched.go((0.0, 0.0, 0.0795))
-    assert world.mechanics.contact_force > 20.0
-    assert world.mechanics.bars.upper == 0.0
-    assert record.lifted_live == 1
-    assert record.parted_live == 0
-    assert not world.circuit.closed
-    assert pitched.power.fault == BoardFault.NO_CHARGE_CURRENT
