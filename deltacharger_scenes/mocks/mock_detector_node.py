@@ -27,8 +27,7 @@ from deltacharger_ros import node_support, qos
 from deltacharger_ros.messages import unknown
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import SERVICE
-from deltacharger_scenes.mocks.fault_switch import fault_switch
-from deltacharger_scenes.mocks.parameters import DETECTOR_FAULTS, MockDetectorNodeParameters
+from deltacharger_scenes.mocks.parameters import DETECTOR_FAULTS, MockDetectorNodeParameters, fault_switch
 from deltacharger_vision.mount import Placed, leaning_normal
 from deltacharger_vision.ros.messages import detection_message
 

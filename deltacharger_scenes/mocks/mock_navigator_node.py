@@ -25,8 +25,7 @@ from deltacharger_mission.ros.others import place as read_place
 from deltacharger_ros import node_support
 from deltacharger_ros.messages import duration
 from deltacharger_ros.parameters import declare_all, reject_unknown
-from deltacharger_scenes.mocks.fault_switch import fault_switch
-from deltacharger_scenes.mocks.parameters import NAVIGATOR_FAULTS, MockNavigatorNodeParameters
+from deltacharger_scenes.mocks.parameters import NAVIGATOR_FAULTS, MockNavigatorNodeParameters, fault_switch
 
 _FRAME = "map"
 _TICK = 0.02  # s

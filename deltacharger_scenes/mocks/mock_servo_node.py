@@ -46,8 +46,7 @@ from deltacharger_ros.clock import stamp_age
 from deltacharger_ros.messages import seconds
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import SERVICE
-from deltacharger_scenes.mocks.fault_switch import fault_switch
-from deltacharger_scenes.mocks.parameters import SERVO_FAULTS, MockServoNodeParameters
+from deltacharger_scenes.mocks.parameters import SERVO_FAULTS, MockServoNodeParameters, fault_switch
 
 Vector = tuple[float, float, float]
 _DAMPING = 0.3  # N·m·s/rad of a servo, little, so that tests are quick

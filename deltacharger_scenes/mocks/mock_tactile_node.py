@@ -48,8 +48,7 @@ from deltacharger_ros.messages import seconds, unknown
 from deltacharger_ros.on_demand import LatestMessage
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import SERVICE
-from deltacharger_scenes.mocks.fault_switch import fault_switch
-from deltacharger_scenes.mocks.parameters import TACTILE_FAULTS, MockTactileNodeParameters
+from deltacharger_scenes.mocks.parameters import TACTILE_FAULTS, MockTactileNodeParameters, fault_switch
 from deltacharger_sim.pads import ContactSource, contact_force
 from deltacharger_tactile.parameters import TactileParameters
 

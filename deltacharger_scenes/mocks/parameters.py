@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The parameters of the mock nodes."""
+"""The parameters of the mock nodes, and the fault that each may be given while it runs."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.parameters import Bounded, choice, number
@@ -52,3 +54,16 @@ class MockNavigatorNodeParameters(Bounded):
     x: float = number(0.0, -ON_MAP, ON_MAP, "m", "initial x of the base; y and yaw are 0")
     speed: float = number(0.5, 0.01, 1000.0, "m/s", "of the base; it turns at twice as many rad/s")
     fault: str = choice("none", NAVIGATOR_FAULTS, _FAULT, tunable=True)
+
+
+def fault_switch(node: Any, faults: Sequence[str]) -> Callable[[], str]:
+    """Return what returns the present value of a node's declared parameter `fault`; unknown values are refused."""
+    from rcl_interfaces.msg import SetParametersResult  # not to read parameters
+
+    def check(parameters: Sequence[Any]) -> SetParametersResult:
+        wrong = [each.value for each in parameters if each.name == "fault" and each.value not in faults]
+        reason = f"fault '{wrong[0]}' is unknown: give one of {', '.join(faults)}" if wrong else ""
+        return SetParametersResult(successful=not wrong, reason=reason)
+
+    node.add_on_set_parameters_callback(check)
+    return lambda: str(node.get_parameter("fault").value)
