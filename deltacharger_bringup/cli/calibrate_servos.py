@@ -71,7 +71,7 @@ def servos(options: argparse.Namespace) -> Result:
 def _measured(options: argparse.Namespace) -> tuple[ServoTask, Gains, MeasuredArm]:
     """Measure the arm. Its torque is off afterwards, unless docking_node has taken control of it."""
     with Interrupts() as interrupts, ros_context() as context:
-        from deltacharger_records.datasets.arm_client import ArmError, MeasuringArm
+        from deltacharger_records.arm_client import ArmError, MeasuringArm
 
         arm = MeasuringArm(context, geometry_of(options.geometry), options.namespace, interrupts.event)
         try:

@@ -14,9 +14,16 @@ from typing import TYPE_CHECKING
 
 from deltacharger_bringup.cli.arguments import DEFAULT_SCENE, scene_option
 from deltacharger_bringup.cli.output import DONE, FAILED, Result, WrongInput, log_line
-from deltacharger_bringup.doctor.environment import RosProbe, examine_settings, examine_versions
+from deltacharger_bringup.doctor.environment import (
+    RosProbe,
+    candidates,
+    examine_camera,
+    examine_port,
+    examine_settings,
+    examine_versions,
+    same_device,
+)
 from deltacharger_bringup.doctor.findings import Finding, checked, hint, install, ok, wrong
-from deltacharger_bringup.doctor.ports import candidates, examine_camera, examine_port, same_device
 from deltacharger_core import environment
 from deltacharger_core.machine import BAUD_RATE, BEHIND_BOARD, SERVO_IDS
 

@@ -21,7 +21,7 @@ from deltacharger_bringup.cli.charger import DISCOVERY
 from deltacharger_bringup.cli.output import CommandError, Interrupts, log_line
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_records.datasets.arm_client import STILL, ArmClient, ArmError
+from deltacharger_records.arm_client import STILL, ArmClient, ArmError
 from deltacharger_ros import qos
 from deltacharger_ros.client import Guest
 from deltacharger_vision.cameras.ros_formats import color_array

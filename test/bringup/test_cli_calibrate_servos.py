@@ -15,12 +15,12 @@ from unittest import mock
 import pytest
 
 import deltacharger_bringup.cli.calibrate_servos as command
-import deltacharger_records.datasets.arm_client as measuring
+import deltacharger_records.arm_client as measuring
 from deltacharger_bringup.cli.output import FAILED, CommandError
 from deltacharger_core.servo_types import MeasuredServos
 from deltacharger_core.yaml_file import read_declared
 from deltacharger_kinematics.calibration.servo_procedure import Gains
-from deltacharger_records.datasets.arm_client import ArmError
+from deltacharger_records.arm_client import ArmError
 
 from ..chargers import Process, wait_until
 

@@ -14,7 +14,7 @@ from deltacharger_core.machine import DOCKING_JITTER
 from deltacharger_docking.codes import Busy, Code, Rejected, State, Unreachable
 from deltacharger_docking.observation import Observation, Request, Service
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_records.datasets.session import (
+from deltacharger_records.session import (
     OFFSETS_MM,
     TILTED,
     CommandedPose,

@@ -139,7 +139,7 @@ def test_an_arm_powered_by_another_program_is_left_alone_and_places_out_of_reach
     record: Recorder, charger: Recorded, context: Any
 ) -> None:
     from deltacharger_kinematics import DeltaGeometry
-    from deltacharger_records.datasets.arm_client import ArmClient
+    from deltacharger_records.arm_client import ArmClient
 
     contacts = charger.world.record.contacts
     assert "reach" in answer(record("--set", "position", "--x-mm", "80"), WRONG_INPUT)["error"]

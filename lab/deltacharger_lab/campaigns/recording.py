@@ -28,7 +28,7 @@ from deltacharger_lab.campaigns.draw import seen_at
 from deltacharger_lab.campaigns.parts import NOMINAL
 from deltacharger_lab.campaigns.scene import DEFAULT, load_campaign_scene
 from deltacharger_lab.reports.pool import ReportTask, work
-from deltacharger_records.datasets.session import SUBSETS, Part, Rested, TouchSession, check_places
+from deltacharger_records.session import SUBSETS, Part, Rested, TouchSession, check_places
 from deltacharger_sim.pads import ContactSource
 from deltacharger_sim.parameters import TargetParameters, WorldParameters
 from deltacharger_sim.virtual.quick_charger import QuickCharger

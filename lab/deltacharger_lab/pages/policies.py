@@ -15,8 +15,8 @@ from rclpy.node import Node
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_lab.pages.parameters import with_every_node
 from deltacharger_lab.pages.topics import Endpoint, endpoints, everything
-from deltacharger_records.datasets.arm_client import ArmClient
-from deltacharger_records.datasets.charger import RecordingCharger
+from deltacharger_records.arm_client import ArmClient
+from deltacharger_records.charger import RecordingCharger
 from deltacharger_records.replay.record import Recorder
 from deltacharger_ros.client import ChargerClient, Guest
 

@@ -13,9 +13,8 @@ from typing import Any
 
 import pytest
 
-from deltacharger_bringup.doctor.environment import examine_settings, running
+from deltacharger_bringup.doctor.environment import examine_camera, examine_settings, running
 from deltacharger_bringup.doctor.findings import Finding, checked, ok
-from deltacharger_bringup.doctor.ports import examine_camera
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 
 from ...emulated_ports import IDS

@@ -13,8 +13,8 @@ import pytest
 import serial
 
 from deltacharger_bringup.doctor import board as examiner
+from deltacharger_bringup.doctor.environment import examine_port
 from deltacharger_bringup.doctor.findings import Finding
-from deltacharger_bringup.doctor.ports import examine_port
 from deltacharger_bringup.doctor.servos import examine_servos
 from deltacharger_driver import ports
 from deltacharger_driver.board.link import BoardLink

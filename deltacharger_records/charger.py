@@ -31,9 +31,9 @@ from deltacharger_docking.ros import messages as io
 from deltacharger_docking.ros.inputs import Inputs
 from deltacharger_docking.ros.services import Services
 from deltacharger_kinematics.geometry import DeltaGeometry
-from deltacharger_records.datasets.arm_client import ArmError, ArmGuest
-from deltacharger_records.datasets.session import Docking, Journal, NotKept, Part, Rested, Settings, TouchSession
+from deltacharger_records.arm_client import ArmError, ArmGuest
 from deltacharger_records.node_parameters import docking_settings
+from deltacharger_records.session import Docking, Journal, NotKept, Part, Rested, Settings, TouchSession
 from deltacharger_ros.clock import before_now
 from deltacharger_ros.log import Log
 from deltacharger_ros.qos import SENSOR, SERVICE
