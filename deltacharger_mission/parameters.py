@@ -29,7 +29,7 @@ class MissionParameters(Bounded):
     drive_timeout: float = number(300.0, 1.0, 86400.0, "s", "limit for DRIVE and for RETURN")
     charge_timeout: float = number(14400.0, 1.0, 86400.0, "s", "limit for CHARGE")
     navigation: str = choice("none", ("nav2", "none"), "nav2 drives the robot; none: the target comes to the charger")
-    map_frame: str = words("map", "the navigator's frame: of home, and of targets if tf2_ros is installed")
+    map_frame: str = words("map", "the navigator's frame: of home and of targets")
     behavior_tree: str = words("", "file of the navigator's behavior tree; empty = the navigator's default")
     precise_behavior_tree: str = words("", "file of its behavior tree for small moves near the target; empty = default")
     base_frame: str = like(DockingNodeParameters, "base_frame", text="full name of the robot's frame")

@@ -272,14 +272,9 @@ class Frames:
         if self._tf is not None:
             self._tf.close()
 
-    @property
-    def follows_tf(self) -> bool:
-        """Whether tf2_ros is installed."""
-        return self._tf is not None
-
     def needs_tf(self, frame: str) -> bool:
         """Whether `charger_base_in` looks this frame up in tf."""
-        return self.follows_tf and frame not in ("", self.charger_base) and len(frame) <= LONGEST
+        return self._tf is not None and frame not in ("", self.charger_base) and len(frame) <= LONGEST
 
     def charger_base_in(self, frame: str, stamp: Stamp | None = None, timeout: float | None = None) -> Pose:
         """Return the pose of charger_base in a frame.
@@ -308,12 +303,6 @@ class Frames:
             return composed(self._tf.lookup(frame, self._base_frame, stamp, timeout), base)
         except UnknownFrame as error:
             raise UnknownFrame(f"unknown frame {quoted(frame)}: {error}; or {self._remedy()}") from error
-
-    def pose_in(self, parent: str, child: str, stamp: Stamp | None = None, timeout: float | None = None) -> Pose:
-        """Return the pose of the frame `child` in the frame `parent` from tf; see `TfTree.lookup`."""
-        if self._tf is None:
-            raise UnknownFrame(f"{quoted(child)} in {quoted(parent)}: tf2_ros is not installed")
-        return self._tf.lookup(parent, child, stamp, timeout)
 
     def base_pose(self, timeout: float | None = None) -> Pose:
         """Return charger_base in base_frame.

@@ -16,10 +16,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from deltacharger.action import ChargeRobot
-from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 
-from deltacharger_core.frames import END_EFFECTOR, LONGEST, TransformParameters
+from deltacharger_core.frames import END_EFFECTOR, TransformParameters
 from deltacharger_core.texts import quantity, titled
 from deltacharger_docking.codes import Busy, Canceled, DockingError, Rejected
 from deltacharger_docking.ros.messages import MEASURED, refusal
@@ -203,9 +202,8 @@ class MissionNode(Node):
         Raises:
             DockingError: the goal is refused.
         """
-        target, mount = self._where(handle.request)
+        goal, mount = io.goal(handle.request, self._given), self._mount()
         with self._lock:
-            goal = io.goal(handle.request, self._given, target)
             self._machine.check(goal)
             if self._closed:
                 raise Busy("mission_node is shutting down; send the goal again when it is back")
@@ -223,20 +221,14 @@ class MissionNode(Node):
     def _unknown_dock(self) -> Any:
         return io.unknown_dock(self._end_effector)
 
-    def _where(self, request: Any) -> tuple[PoseStamped, BaseMount]:
-        """Return the target and the mount of the arm; may wait for tf.
-
-        The target is in map_frame if tf2_ros is installed: in a frame of the robot it would move with the robot.
+    def _mount(self) -> BaseMount:
+        """Return the mount of the arm; may wait for tf.
 
         Raises:
-            Rejected: they are unknown at present.
+            Rejected: it is unknown at present.
         """
-        target, fixed = request.target, self._given.map_frame
-        frame = target.header.frame_id
         try:
-            if self._drives and self._frames.follows_tf and 0 < len(frame) <= LONGEST and frame != fixed:
-                target = io.in_frame(target, fixed, self._frames.pose_in(fixed, frame, target.header.stamp))
-            return target, BaseMount(self._frames.base_pose())
+            return BaseMount(self._frames.base_pose())
         except TransformError as error:
             raise refusal(error) from error
         except ValueError as error:

@@ -20,10 +20,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from deltacharger_core.frames import (
     CHARGER_BASE,
     END_EFFECTOR,
-    LONGEST,
-    Pose,
     TransformParameters,
-    composed,
     lean,
     rotation,
 )
@@ -139,17 +136,12 @@ class Others:
         if request.task is Task.DOCK:
             assert request.goal is not None
             self.dock_result = unknown_dock(self._end_effector, math.nan)  # until its result is known
-            return Dock.Goal(  # an empty frame_id: docking asks the camera again, at rest and near the target
-                hold=True,
-                stop_energy=request.goal.stop_energy,
-                stop_after=duration(request.goal.stop_after),
-                request_id=request.goal.request_id,
-                target_profile=request.goal.target_profile,
-            )
+            given = {name: getattr(request.goal, name) for name in ("stop_energy", "request_id", "target_profile")}
+            # An empty frame_id: docking asks the camera again, at rest and near the target.
+            return Dock.Goal(hold=True, stop_after=duration(request.goal.stop_after), **given)
         assert request.place is not None
-        given = self._parameters
-        tree = given.precise_behavior_tree if request.precise else given.behavior_tree
-        goal = self._navigate_to_pose.Goal(behavior_tree=tree)
+        trees = self._parameters.behavior_tree, self._parameters.precise_behavior_tree
+        goal = self._navigate_to_pose.Goal(behavior_tree=trees[request.precise])
         fill_pose(goal.pose, request.place)  # stamp 0: the newest available transform
         return goal
 
@@ -230,34 +222,17 @@ def unknown_dock(frame_id: str = END_EFFECTOR, energy: float = 0.0) -> Any:
     return result
 
 
-def in_frame(message: PoseStamped, frame: str, there: Pose) -> PoseStamped:
-    """Return a pose in the frame named `frame`; `there` is the pose of its own frame in that one."""
-    point, turn = message.pose.position, message.pose.orientation
-    moved = PoseStamped()
-    moved.header.frame_id = frame
-    pose = composed(there, (point.x, point.y, point.z, turn.x, turn.y, turn.z, turn.w))
-    point, turn = moved.pose.position, moved.pose.orientation
-    point.x, point.y, point.z, turn.x, turn.y, turn.z, turn.w = pose
-    return moved
-
-
-def goal(request: Any, parameters: MissionParameters, target: PoseStamped | None = None) -> MissionGoal:
+def goal(request: Any, parameters: MissionParameters) -> MissionGoal:
     """Return a ChargeRobot goal as plain values; without navigation its target counts for nothing.
 
-    Args:
-        request: the message.
-        parameters: of missions.
-        target: transformed target, in place of the request's.
-
     Raises:
-        Rejected: the target has no frame, or is not a pose on the ground of a site.
+        Rejected: the target is in another frame than map_frame, or is not a pose on the ground of a site.
     """
     where = None
     if parameters.navigation != "none":
-        length = len(request.target.header.frame_id)
-        if not 0 < length <= LONGEST:
-            raise Rejected(f"target.header.frame_id has {length} characters: name the navigator's frame, such as map")
-        here = place(target or request.target)
+        frame, here = request.target.header.frame_id, place(request.target)
+        if frame != parameters.map_frame:
+            raise Rejected(f"target.header.frame_id is '{frame[:60]}': give the target in {parameters.map_frame}")
         if here is None:
             raise Rejected("the target's pose is not finite, or its quaternion is zero: send numbers")
         if problem := far((here.x, here.y), ON_MAP):
