@@ -310,7 +310,7 @@ def _joints(found: Calibration) -> str:
     worst = math.degrees(float(np.abs(found.joints[0]).max()))
     return (
         f"the arm's angles are off by more than stated, by at least {worst:.1f}°: calibrate the arm and give its "
-        "--geometry, or state more"
+        "--geometry"
     )
 
 
