@@ -119,14 +119,6 @@ def test_readings_stay_within_the_scale_and_on_its_codes() -> None:
     assert np.allclose(codes, np.round(codes), atol=1e-9)
 
 
-def test_noise_has_the_stated_size_and_memory() -> None:
-    chain, _, _ = sensor(dataclasses.replace(PERFECT, noise=0.08, pedestal=0.5))
-    raw, step = np.stack([chain.read(None, None, 0.0, 1 / 120)[0] for _ in range(600)]) - 0.5, 6
-    assert raw.std() == pytest.approx(0.08, abs=0.004)
-    memory = np.mean(raw[step:] * raw[:-step]) / raw.var()
-    assert memory == pytest.approx(0.3 * np.exp(-step / 120 / 0.25), abs=0.05)
-
-
 def seeds_determine_readings_and_force_is_read_only_in_contact(kind: Any, least: float) -> None:
     """The law of every source of frames; the laboratory's has it, too."""
 

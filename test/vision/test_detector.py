@@ -192,12 +192,6 @@ def test_clutter_without_electrodes_is_no_terminal(count: int) -> None:
         assert DETECTOR.detect(SimulatedCamera().render(scene, pose, random)) is None
 
 
-@pytest.mark.parametrize("level", [0, 128, 255])
-def test_nothing_is_found_in_an_empty_or_unlit_picture(level: int) -> None:
-    color = np.full((OAK_D.height, OAK_D.width, 3), level, dtype=np.uint8)
-    assert DETECTOR.detect(RgbdImage.make(color, np.full(color.shape[:2], 0.3), OAK_D)) is None
-
-
 @few_and(8, 1)
 @pytest.mark.parametrize("scale", [0.75, 1.3])
 def test_bars_of_another_size_are_refused_by_depth(scale: float, count: int) -> None:

@@ -57,9 +57,6 @@ def test_near_things_hide_far_ones_in_any_order() -> None:
     for boxes in ((near, far), (far, near)):
         assert pixel(boxes, 320) == (True, pytest.approx(0.29, abs=1e-6))
         assert pixel(boxes, 400) == (False, pytest.approx(0.39, abs=1e-6))
-    # The panel's centre is nearer to the camera than the item's.
-    panel, item = box(0.0, 0.4, (1.0, 0.5, 0.02), 0.0), box(0.2, 0.35, (0.05, 0.05, 0.02), 0.9)
-    assert pixel((panel, item), round(319.5 + 441.0 * 0.2 / 0.34)) == (True, pytest.approx(0.34, abs=1e-6))
 
 
 def wall_at(distance: float) -> np.ndarray:
@@ -104,32 +101,6 @@ def test_nothing_outside_the_stereo_range_has_depth() -> None:
     assert 0.173 <= np.nanmin(noisy) < 0.18
     for farthest, seen in ((2.9, False), (3.1, True)):
         assert (np.isfinite(taken(WALL, wall_at(3.0), farthest=farthest).depth) == seen).all()
-
-
-def test_glare_is_bright_and_costs_depth() -> None:
-    pose = view(0.3)
-    lit = dataclasses.replace(EVEN, highlight=1.5)
-    # Ahead of the bars the light is reflected to the camera; far aside it is not.
-    for light, bright in (((0.0, 0.0, -1.0), True), ((3.0, 0.0, -1.0), False)):
-        image = taken(RenderedScene(parameters=lit, light=light), pose, hole_metal=0.0, hole_glare=0.9)
-        inside = metal(pose)
-        assert ((image.color[inside] == 255).mean() > 0.3) == bright
-        assert (np.isnan(image.depth[inside]).mean() > 0.2) == bright
-
-
-def test_each_side_of_the_plate_hides_the_wall_from_one_camera() -> None:
-    pose = view(0.35)
-    lost = np.isnan(taken(FLAT, pose, occlusion=True).depth[140])
-    plate, wall = 0.35 + 0.006, 0.35 + EVEN.wall_distance
-    half = 0.5 * PER_INVERSE * (1 / plate - 1 / wall)
-    outside = 0.5 * PER_INVERSE / wall
-    runs = np.diff(np.flatnonzero(np.diff(np.concatenate([[0], lost.astype(int), [0]]))))[::2]
-    assert runs == pytest.approx([outside, half, half, outside], abs=2.0)
-
-
-def test_light_is_kept_until_it_saturates() -> None:
-    once, given = (linear(taken(FLAT, view(0.3), exposure=each).color) for each in (1.0, 2.5))
-    np.testing.assert_allclose(given, np.minimum(2.5 * once, 1.0), atol=0.02)
 
 
 def test_the_chargers_parts_hide_the_terminal_if_in_between() -> None:
