@@ -7,25 +7,12 @@ import math
 
 from deltacharger_core.machine import ChargeLimits, Port, port_of
 from deltacharger_core.script import NEXT, Script, Wait
-from deltacharger_docking import codes
+from deltacharger_docking import codes, watch
 from deltacharger_docking.clearance import LEAN_SIGMAS
 from deltacharger_docking.codes import State
 from deltacharger_docking.context import Context, Live
 from deltacharger_docking.observation import Reply, Service
 from deltacharger_docking.parameters import TargetProfile
-from deltacharger_docking.watch import (
-    DEAD,
-    FADED,
-    SURE,
-    WELD,
-    battery_problem,
-    duplicate,
-    is_closed,
-    reason_not_to_close,
-    stage_problem,
-    unfit_servos,
-    welded,
-)
 
 OPEN_TIMEOUT = 1.0  # s, limit for current to stop after an order to open
 _OPENING_TIME = 0.1  # s, delay of an order to open
@@ -58,7 +45,7 @@ def wait_for_single_sources(context: Context, begun: float, state: State = State
     with context.waiting_for("a second source to disappear"):
         while (late := context.time - begun > limit) or context.observation.duplicate_sources:
             if late:
-                raise duplicate(context.doubtful)
+                raise watch.duplicate(context.doubtful)
             yield NEXT
 
 
@@ -71,7 +58,7 @@ def check_battery(context: Context) -> None:
         DockingError: as `energise`.
     """
     fresh = context.observation.power_age <= context.parameters.age_max
-    if fresh and (unfit := battery_problem(context) or stage_problem(context)) is not None:
+    if fresh and (unfit := watch.battery_problem(context) or watch.stage_problem(context)) is not None:
         raise unfit
 
 
@@ -88,7 +75,7 @@ def energise(context: Context) -> Script[bool]:
     parameters, profile = context.parameters, context.profile
     assert profile is not None  # a goal that charges has one
     context.enter(State.ENERGISE, math.inf)  # each of its steps has its limit
-    if context.observation.power_fault not in (0, WELD):
+    if context.observation.power_fault not in (0, watch.WELD):
         yield from _clear_fault(context)
     reply = yield from context.ask(Service.PROBE, codes.PowerStale, _PROBE_TIMEOUT)
     context.decide(
@@ -103,7 +90,7 @@ def energise(context: Context) -> Script[bool]:
     if not reply.success:
         yield from _await_cause(context)
     _check_probe(context, profile, port, reply)
-    if (problem := reason_not_to_close(context)) is not None:
+    if (problem := watch.reason_not_to_close(context)) is not None:
         raise problem
     context.decide("close", "all checks passed: the contactor is ordered to close")
     context.energise = context.live = True
@@ -156,8 +143,8 @@ def _clear_fault(context: Context) -> Script[None]:
 
 def prove_dead(context: Context) -> Script[None]:
     """Let a voltage of electrodes in free air fade, or prove that the contactor is welded, which ends the goal."""
-    end = context.time + FADED + SURE + _LAST_WORD
-    while context.time < end and context.is_free and context.observation.target_voltage > DEAD:
+    end = context.time + watch.FADED + watch.SURE + _LAST_WORD
+    while context.time < end and context.is_free and context.observation.target_voltage > watch.DEAD:
         yield NEXT
 
 
@@ -169,15 +156,15 @@ def de_energise(context: Context) -> Script[None]:
     """
     context.energise = context.status.charging = False
     context.closing = None
-    if not (context.live or is_closed(context)):
+    if not (context.live or watch.is_closed(context)):
         context.opened = True
         return
     current = context.observation.charge_current
     context.decide("open", "the contactor is ordered to open", charge_current_A=current)
     begun = context.time
-    while is_closed(context) or not context.time - context.observation.power_age >= begun + _OPENING_TIME:
+    while watch.is_closed(context) or not context.time - context.observation.power_age >= begun + _OPENING_TIME:
         if context.time > begun + OPEN_TIMEOUT:
-            raise welded(context)
+            raise watch.welded(context)
         yield NEXT
     current = context.observation.charge_current
     context.decide("opened", "no current flows", charge_current_A=current, time_s=context.time - begun)
@@ -188,7 +175,7 @@ def _await_cause(context: Context) -> Script[None]:
     """Raise the servos' problem if one shows: servo_node opens the contactor if a servo fails, which ends a probe."""
     end = context.time + _CAUSE
     while context.time < end:
-        if (problem := unfit_servos(context)) is not None:
+        if (problem := watch.unfit_servos(context)) is not None:
             raise problem
         yield NEXT
 
@@ -208,7 +195,7 @@ def _check_probe(context: Context, profile: TargetProfile, port: Port, reply: Re
         )
     if port is Port.REVERSED:
         raise codes.ReversePolarity(f"the target has {voltage:.1f} V: its electrodes are swapped")
-    if port is Port.LIVE and voltage >= DEAD:  # less is a capacitor that an earlier probe has charged
+    if port is Port.LIVE and voltage >= watch.DEAD:  # less is a capacitor that an earlier probe has charged
         if not profile.empty_voltage <= voltage <= profile.full_voltage:
             allowed = f"{profile.empty_voltage:.1f} to {profile.full_voltage:.1f} V"
             raise codes.VoltageOutOfRange(

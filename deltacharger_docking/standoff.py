@@ -17,16 +17,9 @@ from deltacharger_docking.arm import LOAD_SHARES
 from deltacharger_docking.codes import NoContact, ServoFailure, State, Stuck
 from deltacharger_docking.context import SETTLE_TOUCHING, Context
 from deltacharger_docking.release import RELEASE_CURRENT, take_off
+from deltacharger_kinematics import swing as swings
 from deltacharger_kinematics.geometry import Vector
-from deltacharger_kinematics.swing import (
-    LEAST_DAMPING,
-    SURELY,
-    SwingReading,
-    creeps,
-    fit_swing,
-    surely_swings,
-    swing_readings,
-)
+from deltacharger_kinematics.swing import SwingReading
 
 # Chosen on seeds of the family 777001, then 5 and 19.
 _APPROACH_SPEED = 0.18  # m/s, peak speed toward the standoff, at which a target nearer than told is met
@@ -124,10 +117,10 @@ def _check_swing(context: Context, farthest: float) -> Script[None]:
     for _ in range(_TRIES):
         last = yield from _swing(context, farthest, current)
         rows += last
-        servos = fit_swing(rows, context.parameters.torque_constant)
+        servos = swings.fit_swing(rows, context.parameters.torque_constant)
         unknown = [index for index, each in enumerate(servos) if math.isnan(each.damping)]
-        creeping = [index + 1 for index in unknown if current > _JUMP_CURRENT and creeps(last, index)]
-        if creeping or all(each.damping - each.damping_stddev >= LEAST_DAMPING for each in servos):
+        creeping = [index + 1 for index in unknown if current > _JUMP_CURRENT and swings.creeps(last, index)]
+        if creeping or all(each.damping - each.damping_stddev >= swings.LEAST_DAMPING for each in servos):
             break
         if unknown:  # softer servos than expected hardly turn
             current *= 2.0
@@ -138,10 +131,10 @@ def _check_swing(context: Context, farthest: float) -> Script[None]:
     most = 2.0 * _MOST_DAMPED * springs.stiffness / springs.frequency
     for number, each in enumerate(servos, 1):
         value = each.damping
-        if surely_swings(each):
-            braked = f"its damping is {value:.2f} N·m·s/rad, below {LEAST_DAMPING}"
+        if swings.surely_swings(each):
+            braked = f"its damping is {value:.2f} N·m·s/rad, below {swings.LEAST_DAMPING}"
             raise ServoFailure(f"servo {number} swings: {braked}: raise position_d_gain")
-        if value - SURELY * each.damping_stddev > most or number in creeping:
+        if value - swings.SURELY * each.damping_stddev > most or number in creeping:
             raise ServoFailure(f"servo {number} creeps: damping above {most:.1f} N·m·s/rad; lower position_d_gain")
 
 
@@ -178,7 +171,7 @@ def _swing(context: Context, farthest: float, current: float) -> Script[list[Swi
                 end = context.time + lasts
     context.commanded = context.measured()
     most = tuple(_FREE * torque / parameters.torque_constant for torque in bound)
-    return swing_readings(seen, (a, b, c), most)
+    return swings.swing_readings(seen, (a, b, c), most)
 
 
 def _differ(before: Vector, after: Vector) -> bool:

@@ -8,17 +8,8 @@ from dataclasses import replace
 
 from deltacharger_core.machine import MAGNET_WIDTH
 from deltacharger_core.script import NEXT, Script
-from deltacharger_docking import codes
-from deltacharger_docking.clearance import (
-    CLEARANCE_SIGMAS,
-    CLEARANCE_SIGMAS_SURE,
-    LEAN_SIGMAS,
-    MisalignmentEstimate,
-    Verdict,
-    judge,
-    least_clearance,
-    reaches_limit,
-)
+from deltacharger_docking import clearance, codes
+from deltacharger_docking.clearance import MisalignmentEstimate, Verdict, judge
 from deltacharger_docking.codes import State
 from deltacharger_docking.context import SERVICE_TIMEOUT, Context
 from deltacharger_docking.goals import in_words
@@ -67,8 +58,8 @@ def measure(context: Context) -> Script[MisalignmentEstimate]:
 
 def keep_evidence(context: Context, estimate: MisalignmentEstimate) -> None:
     """Let this estimate of the contact count until its evidence is lost."""
-    sigmas = CLEARANCE_SIGMAS
-    margin = least_clearance(estimate, context.parameters, sigmas) if estimate.usable else 0.0
+    sigmas = clearance.CLEARANCE_SIGMAS
+    margin = clearance.least_clearance(estimate, context.parameters, sigmas) if estimate.usable else 0.0
     context.evidence.keep(context.position, margin)
 
 
@@ -83,8 +74,8 @@ def record_verdict(context: Context, estimate: MisalignmentEstimate, critical_an
     parameters = context.parameters
     verdict = judge(estimate, parameters, critical_angle)
     least = [
-        least_clearance(estimate, parameters, sigmas) - parameters.clearance_min
-        for sigmas in (0.0, CLEARANCE_SIGMAS, CLEARANCE_SIGMAS_SURE)
+        clearance.least_clearance(estimate, parameters, sigmas) - parameters.clearance_min
+        for sigmas in (0.0, clearance.CLEARANCE_SIGMAS, clearance.CLEARANCE_SIGMAS_SURE)
     ]
     context.decide(
         "verdict",
@@ -125,7 +116,9 @@ def look(context: Context, target: Target) -> Script[MisalignmentEstimate | None
     context.decide("touched", text, contact_current_A=context.contact.value, **estimate.numbers)
     if not estimate.usable:
         known = estimate.contact and math.isfinite(estimate.angle)
-        return estimate if known and reaches_limit(estimate.angle, parameters, target.critical_angle) else None
+        return (
+            estimate if known and clearance.reaches_limit(estimate.angle, parameters, target.critical_angle) else None
+        )
     verdict = record_verdict(context, estimate, target.critical_angle)
     if verdict is Verdict.CRITICAL:
         raise codes.CriticalAngle(rolled_too_far(estimate.angle))
@@ -314,7 +307,7 @@ class Target:
     def _leaning(self, estimate: MisalignmentEstimate, yaw: float) -> codes.Leaning:
         """Return the error of faces that are yawed by at least this (rad), or by the detected yaw if larger."""
         electrodes = self._context.electrodes
-        seen = electrodes.sure_yaw(LEAN_SIGMAS) if electrodes is not None else 0.0
+        seen = electrodes.sure_yaw(clearance.LEAN_SIGMAS) if electrodes is not None else 0.0
         yaw = seen if seen * yaw > yaw * yaw else yaw
         x, y, z = self._context.position
         left, right = estimate.left_force, estimate.right_force
@@ -328,7 +321,7 @@ class Target:
 
     def _give_up(self, estimate: MisalignmentEstimate) -> None:
         parameters, angle = self._context.parameters, estimate.angle
-        if math.isfinite(angle) and reaches_limit(angle, parameters, self.critical_angle):
+        if math.isfinite(angle) and clearance.reaches_limit(angle, parameters, self.critical_angle):
             raise codes.CriticalAngle(rolled_too_far(estimate.angle))
         what = "outside the estimator's range" if not estimate.in_range else "unsure"
         raise codes.EstimateUnsure(
