@@ -12,24 +12,19 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 from deltacharger.srv import SolveForwardKinematics
-from rcl_interfaces.srv import GetParameters
-from rclpy.node import Node
 
-from deltacharger_bringup.launch_arguments import CHARGER
-from deltacharger_core import runtime
 from deltacharger_ros.client import ChargerClient
 from deltacharger_ros.outcomes import DockRequest
-from deltacharger_scenes.scene import Scene, load_scene, parse_scene
-from deltacharger_sim.charger.simulated_charger import SimulatedCharger
+from deltacharger_scenes.scene import Scene, parse_scene
 
-from ..chargers import DEADLINE, Process, Spin, new_namespace, wait_until
-from ..nodes import call, options
+from ..chargers import DEADLINE, Process, wait_until
+from ..nodes import call
 from ..quick import QUICK
 from ..running_charger import RunningCharger
 from .processes import ALARM, CONTAINER, LEADER, OPEN, ROOT, TERMINAL, first, left, needs_containers
@@ -89,12 +84,6 @@ def finished_cleanly(process: Process) -> int:
     return output(process).count("process has finished cleanly")
 
 
-def assert_ends(process: Process, code: int, count: int) -> None:
-    """Send SIGINT; check the exit code, and how many processes have ended with 0."""
-    assert process.end(INT) == code, output(process)
-    assert finished_cleanly(process) == count, output(process)
-
-
 def test_killed_nodes_that_move_nothing_restart_and_serve(quick_scene: Scene, context: Any) -> None:
     with RunningCharger(quick_scene, context, command=command) as charger:
         process = charger.processes["charger"]
@@ -146,69 +135,6 @@ def test_a_wrong_argument_or_part_ends_it_with_1(
     assert process.end() == 1
     assert expected in output(process)
     assert scene or "process started" not in output(process)
-
-
-NODES = ("servo_node", "tactile_node", "kinematics_node", "misalignment_node", "docking_node")
-REMAPS = {"docking_state": "what_it_does", "dock/_action/status": "how_it_goes"}
-GROUP = """<group>
-<set_env name="ROS_DOMAIN_ID" value="{domain}"/><push_ros_namespace namespace="{name}"/>
-<set_parameter name="use_sim_time" value="true"/>{remaps}
-<include file="{file}">{arguments}</include>
-</group>"""
-
-
-@pytest.fixture
-def groups(start: Launch, tmp_path: Path) -> Iterator[list[str]]:
-    """Launch a simulated scene and one on hardware, with emulated ports, in a group each; yield their namespaces."""
-    names, domain = [new_namespace(), new_namespace()], os.environ["ROS_DOMAIN_ID"]
-    simulation = load_scene("simulated").simulation
-    assert simulation is not None
-    remaps = "".join(f'<set_remap from="{old}" to="{new}"/>' for old, new in REMAPS.items())
-    (tmp_path / "hardware").mkdir()
-    with SimulatedCharger(simulation, tmp_path / "hardware") as emulators:
-        ports = {"charger_servo_port": emulators.servo_port, "charger_board_port": emulators.board_port}
-        chosen = {"scene": "simulated"}, {"scene": "bench", **ports}
-        text = "".join(f'<arg name="{name}" default="the robot"/>' for name in CHARGER if name != "scene")
-        for name, given in zip(names, chosen, strict=True):
-            every = {"charger_namespace": "arm", "sigterm_timeout": PATIENCE, **given}
-            arguments = "".join(f'<arg name="{key}" value="{value}"/>' for key, value in every.items())
-            text += GROUP.format(domain=domain, name=name, remaps=remaps, file=FILE, arguments=arguments)
-        file = tmp_path / "robot.launch.xml"
-        file.write_text(f"<launch>{text}</launch>", encoding="utf-8")
-        process = start(*LAUNCH, str(file))
-        yield names
-        assert list(tmp_path.glob("deltacharger-*"))  # of the simulated hardware
-        assert_ends(process, 0, 2 * REAL_NODES + 1)
-        assert not list(tmp_path.glob("deltacharger-*"))
-
-
-def test_a_groups_namespace_remaps_parameters_and_environment_apply(
-    groups: list[str], context: Any, spin: Spin
-) -> None:
-    """Names of a simulated charger and of one on hardware differ only by the group's namespace.
-
-    The robot's own arguments, named like options of the charger, change nothing.
-    """
-    node = spin(Node("integrator", **options(context)))
-
-    def found(group: str) -> set[str]:
-        others = [*node.get_topic_names_and_types(), *node.get_service_names_and_types()]
-        nodes = [f"{where}/{name}" for name, where in node.get_node_names_and_namespaces()]
-        every, outer = {*nodes, *(name for name, _ in others)}, f"/{group}"
-        return {name.removeprefix(outer) for name in every if name.startswith(f"{outer}/")}
-
-    wanted = {f"/arm/{name}" for name in (*NODES, *REMAPS.values(), "undock/_action/send_goal")}
-    wait_until(lambda: wanted <= found(groups[0]), f"{wanted} in the graph")
-    wait_until(lambda: found(groups[0]) == found(groups[1]), "the same names of both")
-    assert not {f"/arm/{old}" for old in REMAPS} & found(groups[0])
-    for group in groups:
-        for name in NODES:
-            asked = node.create_client(GetParameters, f"/{group}/arm/{name}/get_parameters")
-            wait_until(asked.service_is_ready, f"{name} of {group}")
-            response = call(asked, GetParameters.Request(names=["use_sim_time"]))
-            assert response.values[0].bool_value, f"{name} of {group}"
-    path = runtime.charger(int(os.environ["ROS_DOMAIN_ID"]), f"{groups[0]}/arm")
-    wait_until(path.is_symlink, "the simulated charger, for faults")
 
 
 @pytest.mark.parametrize(

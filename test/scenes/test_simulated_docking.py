@@ -12,11 +12,9 @@ import pytest
 from deltacharger.msg import ChargerPower, DockingState
 from rclpy.qos import QoSProfile
 
-from deltacharger_docking import algorithm
 from deltacharger_ros.outcomes import DockRequest, Progress
 from deltacharger_scenes.scene import Scene, SceneError, parse_scene
 
-from ..marks import rest
 from ..quick import QUICK, quick_simulation
 from ..running_charger import GOAL, RunningCharger
 
@@ -88,38 +86,6 @@ def test_it_docks_from_the_image_and_charges(context: Any) -> None:
         assert phases[0] == "locate"
         assert 1 <= charger.node("simulated_camera_node").rendered < 60  # while it looked, not while it docked
         charger.go_home()
-
-
-PLACE = {"x": 0.02, "y": 0.01, "z": 0.22}
-
-
-@pytest.mark.parametrize(
-    ("target", "code"),
-    [
-        rest({"present": False}, "ELECTRODES_NOT_FOUND"),
-        rest({"roll": math.radians(11.8)}, "CRITICAL_ANGLE"),
-        rest(PLACE, "UNREACHABLE"),
-    ],
-)
-def test_what_the_image_forbids_is_refused_without_motion(
-    monkeypatch: pytest.MonkeyPatch, context: Any, target: dict[str, Any], code: str
-) -> None:
-    monkeypatch.setattr(algorithm, "_LOCATE_TIMEOUT", 3.0)
-    phases: list[str] = []
-    with RunningCharger(scene(**target), context) as charger:
-        before = charger.world.snapshot().position
-        outcome = charger.dock(BY_CAMERA, lambda progress: phases.append(progress.phase))
-        assert (outcome.success, outcome.error_name) == (False, code), outcome
-        assert set(phases) <= {"idle", "locate", "retract"}
-        assert math.dist(charger.world.snapshot().position, before) < 1e-3  # a limp arm settles by 0.2 mm
-        assert not charger.is_closed
-    assert outcome.retriable is (code == "ELECTRODES_NOT_FOUND")
-    if code == "UNREACHABLE":
-        suggested = outcome.details["suggested_base_pose"]
-        there = [PLACE[axis] - step for axis, step in zip("xyz", suggested["position"], strict=True)]
-        assert there == pytest.approx(
-            [0.0, 0.0, 0.080], abs=0.02
-        )  # the camera's mount is off by 2 mm and half a degree
 
 
 def test_a_simulated_camera_is_refused_beside_real_servos() -> None:
