@@ -158,7 +158,8 @@ def _ask_one(port: RawPort, servo: int, speed: int, wait: float) -> list[FoundSe
         if not reply:
             break
         answers += 1
-    if _status_1(servo) in _exchange(port, _ping_1(servo), wait):
+    status_1, ping_1 = b"\xff\xff" + bytes((servo, 2)), b"\xff\xff" + bytes((servo, 2, 1, ~(servo + 3) & 0xFF))
+    if status_1 in _exchange(port, ping_1, wait):  # without parameters both begin alike
         return [FoundServo(servo, speed, protocol=1)]
     return [FoundServo(servo, speed, garbled=True)] if answers == _ATTEMPTS else []
 
@@ -182,13 +183,3 @@ def _ping_replies(data: bytes, speed: int) -> list[FoundServo]:
             found.append(FoundServo(reply[4], speed, model=model, firmware=reply[11]))
         start = data.find(HEADER, start + 1)
     return found
-
-
-def _ping_1(servo: int) -> bytes:
-    """Return a ping of Protocol 1.0."""
-    return b"\xff\xff" + bytes((servo, 2, 1, ~(servo + 3) & 0xFF))
-
-
-def _status_1(servo: int) -> bytes:
-    """Return the first bytes of a Protocol 1.0 status packet without parameters."""
-    return b"\xff\xff" + bytes((servo, 2))

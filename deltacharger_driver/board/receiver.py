@@ -153,22 +153,17 @@ class BoardRequests:
 
     def acknowledge(self, ack: Ack, received: float) -> None:
         """Deliver an ACK to its command; a late one is dropped."""
-        with self._lock:
-            for request in self._waiting:
-                if request.type == ack.type and ack.sequence in request.sequences:
-                    request.ack = ack
-                    request.received = received
-                    request.done.set()
-                    return
+        self._end(lambda request: request.type == ack.type and ack.sequence in request.sequences, received, ack)
 
     def ping_returned(self, payload: bytes, received: float) -> None:
         """Deliver a returned PING to its sender."""
+        self._end(lambda request: request.type is PacketType.PING and request.payload == payload, received)
+
+    def _end(self, is_its: Callable[[BoardRequest], bool], received: float, ack: Ack | None = None) -> None:
         with self._lock:
-            for request in self._waiting:
-                if request.type is PacketType.PING and request.payload == payload and not request.done.is_set():
-                    request.received = received
-                    request.done.set()
-                    return
+            for request in filter(is_its, self._waiting):
+                request.ack, request.received = ack, received
+                request.done.set()
 
     def fail(self, error: Exception) -> None:
         """End all waiting commands with `error`."""

@@ -91,21 +91,24 @@ class Register:
         address: of the least significant byte.
         size: bytes.
         default: value after a factory reset (EEPROM) or a start (RAM).
-        writable: whether an instruction may write it.
+        low: smallest value accepted.
+        high: largest value accepted; as `low`: none may be written.
         signed: whether it is two's complement.
         eeprom: kept without power, and locked while torque is on.
-        low: smallest value accepted.
-        high: largest value accepted.
     """
 
     address: int
     size: int
     default: int
-    writable: bool = True
-    signed: bool = False
-    eeprom: bool = False
     low: int = 0
     high: int = 0
+    signed: bool = False
+    eeprom: bool = False
+
+    @property
+    def writable(self) -> bool:
+        """Whether an instruction may write it."""
+        return self.low < self.high
 
     def to_bytes(self, value: int) -> bytes:
         """Return `value` as bytes for the wire.
@@ -124,16 +127,7 @@ class Register:
         return int.from_bytes(data, "little", signed=self.signed)
 
 
-def _eeprom(address: int, size: int, default: int, low: int, high: int, signed: bool = False) -> Register:
-    return Register(address, size, default, True, signed, True, low, high)
-
-
-def _ram(address: int, size: int, default: int, low: int, high: int, signed: bool = False) -> Register:
-    return Register(address, size, default, True, signed, False, low, high)
-
-
-def _fixed(address: int, size: int, default: int, signed: bool = False, eeprom: bool = False) -> Register:
-    return Register(address, size, default, False, signed, eeprom)
+_eeprom = functools.partial(Register, eeprom=True)
 
 
 @functools.cache
@@ -143,8 +137,8 @@ def registers_of(servo: ServoType) -> dict[str, Register]:
     Addresses and sizes are those of the vendor's X series and the same for every type.
     """
     every = {
-        "model": _fixed(0, 2, servo.model, eeprom=True),
-        "firmware": _fixed(6, 1, 45, eeprom=True),
+        "model": _eeprom(0, 2, servo.model),
+        "firmware": _eeprom(6, 1, 45),
         "id": _eeprom(7, 1, 1, 0, 252),
         "baud": _eeprom(8, 1, 1, 0, 7),
         "return_delay": _eeprom(9, 1, 250, 0, 254),
@@ -164,31 +158,31 @@ def registers_of(servo: ServoType) -> dict[str, Register]:
         "max_position": _eeprom(48, 4, 4095, 0, 4095),
         "min_position": _eeprom(52, 4, 0, 0, 4095),
         "shutdown": _eeprom(63, 1, 52, 0, 61),
-        "torque_enable": _ram(64, 1, 0, 0, 1),
-        "led": _ram(65, 1, 0, 0, 1),
-        "status_return_level": _ram(68, 1, 2, 0, 2),
-        "registered": _fixed(69, 1, 0),
-        "hardware_error": _fixed(70, 1, 0),
-        "velocity_i_gain": _ram(76, 2, 1920, 0, GAIN_MAX),
-        "velocity_p_gain": _ram(78, 2, 100, 0, GAIN_MAX),
-        "position_d_gain": _ram(80, 2, 0, 0, GAIN_MAX),
-        "position_i_gain": _ram(82, 2, 0, 0, GAIN_MAX),
-        "position_p_gain": _ram(84, 2, servo.position_p_gain, 0, GAIN_MAX),
-        "feedforward_2_gain": _ram(88, 2, 0, 0, GAIN_MAX),
-        "feedforward_1_gain": _ram(90, 2, 0, 0, GAIN_MAX),
-        "bus_watchdog": _ram(98, 1, 0, 0, 127),
-        "goal_pwm": _ram(100, 2, servo.pwm_limit, -servo.pwm_limit, servo.pwm_limit, True),
-        "goal_current": _ram(102, 2, servo.current_limit, -servo.current_limit, servo.current_limit, True),
-        "goal_velocity": _ram(104, 4, 0, -1023, 1023, True),
-        "profile_acceleration": _ram(108, 4, 0, 0, 32767),
-        "profile_velocity": _ram(112, 4, 0, 0, 32767),
-        "goal_position": _ram(116, 4, 0, -EXTENDED_TICKS, EXTENDED_TICKS, True),
-        "moving": _fixed(122, 1, 0),
-        "present_current": _fixed(126, 2, 0, True),
-        "present_velocity": _fixed(128, 4, 0, True),
-        "present_position": _fixed(132, 4, 0, True),
-        "input_voltage": _fixed(144, 2, 0),
-        "temperature": _fixed(146, 1, 0),
+        "torque_enable": Register(64, 1, 0, 0, 1),
+        "led": Register(65, 1, 0, 0, 1),
+        "status_return_level": Register(68, 1, 2, 0, 2),
+        "registered": Register(69, 1, 0),
+        "hardware_error": Register(70, 1, 0),
+        "velocity_i_gain": Register(76, 2, 1920, 0, GAIN_MAX),
+        "velocity_p_gain": Register(78, 2, 100, 0, GAIN_MAX),
+        "position_d_gain": Register(80, 2, 0, 0, GAIN_MAX),
+        "position_i_gain": Register(82, 2, 0, 0, GAIN_MAX),
+        "position_p_gain": Register(84, 2, servo.position_p_gain, 0, GAIN_MAX),
+        "feedforward_2_gain": Register(88, 2, 0, 0, GAIN_MAX),
+        "feedforward_1_gain": Register(90, 2, 0, 0, GAIN_MAX),
+        "bus_watchdog": Register(98, 1, 0, 0, 127),
+        "goal_pwm": Register(100, 2, servo.pwm_limit, -servo.pwm_limit, servo.pwm_limit, True),
+        "goal_current": Register(102, 2, servo.current_limit, -servo.current_limit, servo.current_limit, True),
+        "goal_velocity": Register(104, 4, 0, -1023, 1023, True),
+        "profile_acceleration": Register(108, 4, 0, 0, 32767),
+        "profile_velocity": Register(112, 4, 0, 0, 32767),
+        "goal_position": Register(116, 4, 0, -EXTENDED_TICKS, EXTENDED_TICKS, True),
+        "moving": Register(122, 1, 0),
+        "present_current": Register(126, 2, 0, signed=True),
+        "present_velocity": Register(128, 4, 0, signed=True),
+        "present_position": Register(132, 4, 0, signed=True),
+        "input_voltage": Register(144, 2, 0),
+        "temperature": Register(146, 1, 0),
     }
     return {name: register for name, register in every.items() if name not in servo.lacks}
 
