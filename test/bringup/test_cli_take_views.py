@@ -17,17 +17,17 @@ import numpy as np
 import pytest
 from rclpy.node import Node
 from rclpy.time import Time
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import Image
 
 from deltacharger_bringup.cli.camera_views import ViewsFolder
-from deltacharger_bringup.cli.take_views import CameraClient, CameraError, _visit
+from deltacharger_bringup.cli.take_views import CameraClient, _visit
 from deltacharger_ros import qos
 from deltacharger_ros.executor import Spinner
 from deltacharger_scenes.scene import parse_scene
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.rendering.board_drawing import bracket
 from deltacharger_vision.rendering.camera import OAK_D
-from deltacharger_vision.ros.messages import camera_info_message, color_message
+from deltacharger_vision.ros.messages import color_message
 
 from ..chargers import DEADLINE, Process, new_namespace, wait_until
 from ..nodes import options
@@ -106,30 +106,24 @@ def test_an_image_during_which_the_arm_moved_is_not_kept(tmp_path: Path, capsys:
 
 
 @pytest.fixture(scope="module")
-def camera(context: Any) -> Iterator[tuple[Callable[[], CameraClient], Callable[..., None], Callable[..., None]]]:
-    """Functions that return a client, and publish its camera's image (with a stamp, ns) and intrinsics."""
+def camera(context: Any) -> Iterator[tuple[Callable[[], CameraClient], Callable[..., None]]]:
+    """Functions that return a client, and publish its camera's image (with a stamp, ns)."""
     namespace = new_namespace()
     node = Node("driver", **options(context, namespace))
     images = node.create_publisher(Image, "color/image_raw", qos.SENSOR)
-    infos = node.create_publisher(CameraInfo, "color/camera_info", qos.SENSOR)
 
     def image(value: int, stamp: int) -> None:
         pixels = np.full((400, 640, 3), value, dtype=np.uint8)
         images.publish(color_message(pixels, Time(nanoseconds=stamp).to_msg()))
 
-    def info(binning: int = 0) -> None:
-        message = camera_info_message(OAK_D, node.get_clock().now().to_msg())
-        message.binning_x = binning
-        infos.publish(message)
-
     spinner = Spinner(node)
-    yield lambda: CameraClient(context, "color/image_raw", namespace), image, info
+    yield lambda: CameraClient(context, "color/image_raw", namespace), image
     spinner.close()
 
 
 @pytest.mark.version
 def test_an_image_from_before_the_request_is_not_used(camera: Any) -> None:
-    client, image, _ = camera
+    client, image = camera
 
     def publish() -> None:
         image(1, time.time_ns() - 2 * 10**9)  # taken before the arm stopped
@@ -139,13 +133,3 @@ def test_an_image_from_before_the_request_is_not_used(camera: Any) -> None:
         assert found.image(DEADLINE, publish)[0, 0, 0] == 2
         other_clock = found.image(DEADLINE, lambda: image(3, 5 * 10**9))  # its time of arrival counts
         assert (other_clock.shape, (other_clock == 3).all()) == ((400, 640, 3), True)
-
-
-def test_intrinsics_come_from_camera_info_and_its_binning(camera: Any) -> None:
-    client, _, info = camera
-    with client() as found:
-        with pytest.raises(CameraError, match=r"on /\w+/color/image_raw: .*outside /\w+ with a slash"):
-            found.image(0.05, lambda: None)
-        assert found.intrinsics(DEADLINE, lambda: info(2)) == OAK_D.binned(2, 1)
-    with client() as found:
-        assert found.intrinsics(DEADLINE, lambda: info(0)) == OAK_D

@@ -23,9 +23,6 @@ CLI = ("-m", "deltacharger_bringup.cli")
 COMMAND_LINES: dict[str, tuple[tuple[str, ...], int]] = {
     "list": ((*CLI, "scene", "level"), 0),
     "json": ((*CLI, "scene", "level", "--json"), 0),
-    "version": ((*CLI, "--version"), 0),
-    "explain": ((*CLI, "scene", "simulated", "--all"), 0),
-    "faults": ((*CLI, "fault", "--list"), 0),
     "wrong": ((*CLI, "dock", "--x-mm", "left", "--json"), 2),
     "missing": ((*CLI, "vision", "detect", "nothing.png"), 2),
     "folder": ((*CLI, "calibrate", "camera", "--print", "/proc/self/board.svg"), 2),
@@ -44,14 +41,13 @@ SHELLS = {
     "C": f"{PLAIN_C} {{}}",
     "a home that cannot be": "env -u ROS_LOG_DIR HOME=/proc/nowhere {}",
     "no folder for what is temporary": "TMPDIR=/nowhere {}",
-    "optimised": "PYTHONOPTIMIZE=1 {}",
     "removed folder": "mkdir gone && cd gone && rmdir ../gone && {}",
 }
 FULL_OUT = ("full", "both full", "both closed", "all closed")
 NO_ERRORS = ("closed errors", "full errors", "both closed", "all closed", "both full")
 CASES = [
     *(("list", "both closed"), ("list", "a reader that leaves"), ("json", "ASCII"), ("json", "all closed")),
-    *(("explain", "C"), ("wrong", "both full"), ("faults", "optimised"), ("version", "closed errors")),
+    *(("list", "C"), ("wrong", "both full"), ("list", "closed errors")),
     *(("missing", "removed folder"), ("folder", "no folder for what is temporary")),
     *(("node", "a home that cannot be"), ("node", "full errors")),
 ]

@@ -75,24 +75,6 @@ def test_a_refused_docking_is_one_file_that_includes_the_seconds_before_its_goal
     assert found.about == about | {"began": str(BEGAN + 10**9)}
 
 
-def test_long_charging_needs_little_space_and_its_ends_are_complete(tmp_path: Path) -> None:
-    recording, long = recorder(tmp_path), 150.0
-    tape = (
-        *docking(state(3.0, State.CHARGING, charging=True, docked=True)),
-        *in_order(readings(3.0, 3.0 + long, 5.0, rate=4.0)),
-        *(state(3.5 + long, State.RETRACT, docked=True), state(4.5 + long, State.IDLE)),
-    )
-    finish(recording, play(recording, tape))
-    path = only(tmp_path)
-    assert path.name.endswith("-OK.mcap")
-    assert path.stat().st_size < 800_000
-    found = replay(path)
-    assert found.charged == pytest.approx(long, abs=1.0)
-    assert found.recording.counts["servo_state"] < 75 + long + 50
-    times = found.power.arrays()["time"]
-    assert times[-1] - times[0] == pytest.approx(3.0 + long, abs=2.0)
-
-
 def test_a_fault_while_charging_names_the_record(tmp_path: Path) -> None:
     recording = recorder(tmp_path)
     tape = docking(

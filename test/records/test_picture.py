@@ -11,7 +11,7 @@ import pytest
 
 from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.codes import Code
-from deltacharger_records.replay.picture import PictureError, TimeScale, draw, headline
+from deltacharger_records.replay.picture import PictureError, draw, headline
 from deltacharger_records.replay.run import Phase, Run, Series, Touch
 from deltacharger_ros.outcomes import Outcome
 
@@ -41,14 +41,6 @@ def test_it_is_drawn_from_any_data(run: Run, tmp_path: Path) -> None:
     for place in (tmp_path / "no" / "such" / "folder.png", tmp_path / "dock.xyz"):
         with pytest.raises(PictureError, match=place.name):
             draw(run, place)
-
-
-def test_hours_of_charging_are_compressed_to_the_width_of_a_docking() -> None:
-    scale = TimeScale(hours())
-    assert scale.width == pytest.approx(0.3 + 3.0 + 3.0 + 8.0 + 3.0 + 0.3)
-    times = np.linspace(scale.begin, scale.end, 1000)
-    assert (np.diff(scale.forward(times)) > 0.0).all()
-    assert scale.inverse(scale.forward(times)) == pytest.approx(times)
 
 
 @pytest.mark.parametrize(

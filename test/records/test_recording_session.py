@@ -12,7 +12,7 @@ import pytest
 
 from deltacharger_core.machine import DOCKING_JITTER
 from deltacharger_docking.codes import Busy, Code, Rejected, State, Unreachable
-from deltacharger_docking.observation import Observation, Request, Service
+from deltacharger_docking.observation import Request, Service
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_records.session import (
     OFFSETS_MM,
@@ -142,35 +142,6 @@ def test_a_cancel_in_any_step_returns_the_arm_home_and_switches_the_torque_off(s
     assert bench.charger.finish(LIMIT).code is Code.CANCELED
     assert math.dist(bench.charger.world.snapshot().position, (0.0, 0.0, 0.0)) < 0.003
     bench.assert_safe()
-
-
-FAULTS = {
-    "tactile silence": ({"tactile_age": 1.0}, Code.TACTILE_STALE, True),
-    "servo silence": ({"servo_age": 1.0}, Code.SERVO_STALE, True),
-    "servo error": ({"hardware_error": 32}, Code.SERVO_FAULT, False),
-    "torque lost": ({"torque_enabled": False}, Code.SERVO_FAULT, False),
-}
-
-
-@pytest.mark.parametrize("state", [State.CONTACT, State.MEASURE])
-@pytest.mark.parametrize("fault", FAULTS)
-def test_a_fault_ends_the_session_safely_and_only_temporary_faults_permit_a_retry(state: State, fault: str) -> None:
-    changes, code, retriable = FAULTS[fault]
-    bench = Bench()
-    bench.start([CommandedPose(0.0, 0.0, 0.0)] * 2)
-    bench.charger.until(lambda: bench.machine.status.state is state, LIMIT)
-
-    def distort(observation: Observation) -> Observation:
-        return dataclasses.replace(observation, **changes)  # type: ignore[arg-type]
-
-    bench.charger.distort = distort
-    outcome = bench.charger.finish(LIMIT)
-    assert (outcome.code, outcome.retriable) == (code, retriable)
-    assert not bench.ear.kept_rows
-    bench.charger.distort = lambda observation: observation
-    bench.charger.run(0.2)
-    bench.assert_safe()
-    bench.start([CommandedPose(0.0, 0.0, 0.0)])  # at the last one's end
 
 
 def test_a_docking_that_cannot_be_written_ends_the_session_with_the_arm_home() -> None:
