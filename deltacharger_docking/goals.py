@@ -33,8 +33,11 @@ def check_goal(
     check_stops(goal.stop_energy, goal.stop_after)
     if parameters.always_live:
         _check_live(goal)
-    else:
-        _check_profile(goal, profiles)
+    elif goal.start_charging and not profiles:
+        raise Rejected("no current flows without a profile: set docking_node's target_profiles (docs/targets.md)")
+    elif (name := goal.target_profile) and name not in profiles:
+        known = did_you_mean(name, profiles) or f"; known are {', '.join(profiles) or 'none'}"
+        raise Rejected(f"target_profile '{name}' is unknown{known} (docs/targets.md)")
     if goal.electrodes is not None:
         check_place(goal.electrodes, planner, parameters)
 
@@ -51,15 +54,6 @@ def _check_live(goal: DockGoal) -> None:
         raise Rejected("power: none: this charger does not measure energy; leave stop_energy 0 and give stop_after")
     if goal.target_profile:
         raise Rejected("power: none: nothing limits the current, so leave target_profile empty (docs/targets.md)")
-
-
-def _check_profile(goal: DockGoal, profiles: Mapping[str, TargetProfile]) -> None:
-    name = goal.target_profile
-    if goal.start_charging and not profiles:
-        raise Rejected("no current flows without a profile: set docking_node's target_profiles (docs/targets.md)")
-    if name and name not in profiles:
-        known = did_you_mean(name, profiles) or f"; known are {', '.join(profiles) or 'none'}"
-        raise Rejected(f"target_profile '{name}' is unknown{known} (docs/targets.md)")
 
 
 def check_change(goal: DockGoal, context: Context) -> None:

@@ -152,6 +152,7 @@ class DockingNodeParameters(Bounded):
 
 
 PORTS = ("live", "dead")
+_BELOW = (("empty_voltage", "full_voltage"), ("end_current", "current"), ("least_current", "current"))
 
 
 @dataclass(frozen=True)
@@ -166,23 +167,19 @@ class TargetProfile(Bounded):
     full_voltage: float = number(0.0, 1.0, 60.0, "V", "voltage at the port when the target is full; never exceeded")
     current: float = number(0.0, 0.1, 18.0, "A", "largest current into the port")
     end_current: float = number(0.0, 0.05, 18.0, "A", "current at full voltage below which the target is full")
-    least_current: float = number(
-        0.5, 0.05, 0.5, "A", "current that counts as charging; less for a battery that trickles"
-    )
-    port: str = choice(
-        "live", PORTS, "live: the battery's voltage lies at the port; dead: it may not, until a charger's does"
-    )
+    least_current: float = number(0.5, 0.05, 0.5, "A", "current that counts as charging")
+    port: str = choice("live", PORTS, "live: the battery's voltage lies at the port; dead: not before a charger's does")
     start_time: float = number(3.0, 1.0, 60.0, "s", "time from closing until the target takes current, at most")
     gap_time: float = number(0.2, 0.1, 120.0, "s", "time without current that is tolerated")
     standing_load: float = number(0.0, 0.0, 300.0, "W", "what the target itself uses while it is charged")
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for lower, upper in (
-            ("empty_voltage", "full_voltage"),
-            ("end_current", "current"),
-            ("least_current", "current"),
-        ):
+        for lower, upper in {
+            "empty_voltage": "full_voltage",
+            "end_current": "current",
+            "least_current": "current",
+        }.items():
             if not getattr(self, lower) < getattr(self, upper):
                 raise ParameterError(lower, getattr(self, lower), f"{lower} must lie below {upper}")
 

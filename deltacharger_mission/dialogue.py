@@ -81,7 +81,6 @@ class TaskReply:
         place: last place of the base that the navigator reported, None = not reported.
         electrodes: as detected by the camera.
         suggested: better pose of charger_base, None = no other. Its yaw is 0 if the yaw of the faces is unknown.
-        unmeasured: docking cannot measure the charge (power: none).
     """
 
     number: int
@@ -92,7 +91,6 @@ class TaskReply:
     place: Place | None = None
     electrodes: ElectrodePose | None = None
     suggested: BasePose | None = None
-    unmeasured: bool = False
 
 
 @dataclass(frozen=True)

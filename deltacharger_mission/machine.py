@@ -241,11 +241,9 @@ class MissionMachine:
             better = self._better(electrodes, _OFF, _TURNED)
             if better is None:
                 reply = yield from self._dock(goal)
-                if reply.end is End.DONE and reply.unmeasured:
-                    self._notice = reply.message or "docked; the charge is not measured"
-                    return self._notice
                 if reply.end is End.DONE:
-                    return f"charged: {reply.message}" if reply.message else "charged"
+                    self._notice = reply.message  # such as that nothing measures the charge
+                    return reply.message or "charged"
                 if reply.code not in _MENDED_BY_A_MOVE or reply.suggested is None:
                     raise _dock_failure(reply)
                 base = reply.suggested

@@ -155,10 +155,7 @@ class DockingNode(Node):
             self._machine.end()
         self._count()
         if self._settings.always_live and self._machine.status.docked:
-            self._log.error(
-                "the electrodes stay on the target, live and unmonitored: start docking_node again and undock, or "
-                "separate them by hand; next time, undock first"
-            )
+            self._log.error("the electrodes stay on the target, live: start docking_node again and undock")
         if self._is_live(self._observe()):
             self._log.error("the contactor does not open: switch the battery off; the torque stays on to avoid an arc")
         else:

@@ -171,9 +171,7 @@ def read_dock(number: int, end: End, result: Any, feedback: Any) -> TaskReply:
     base = _suggested_base(pose.pose) if pose is not None and pose.header.frame_id else None
     code = Code(result.error_code) if result.error_code in set(Code) else Code.INTERNAL
     ended = End.DONE if result.success else End.FAILED if end is End.DONE else end
-    unmeasured = math.isnan(getattr(result, "energy", 0.0)) and math.isnan(result.charge_current)
-    message = cut(result.error_message)
-    return TaskReply(number, ended, code, message, result.retriable, suggested=base, unmeasured=unmeasured)
+    return TaskReply(number, ended, code, cut(result.error_message), result.retriable, suggested=base)
 
 
 def read_drive(number: int, end: End, result: Any, feedback: Any) -> TaskReply:

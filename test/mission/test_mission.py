@@ -252,7 +252,7 @@ def rests(after: float) -> Answer:
 
     def answer(world: World, request: TaskRequest) -> Any:
         world.attached, world.docking = True, DockingReport(State.IDLE, docked=True)
-        return ends(End.DONE, "it hangs on the battery", after, unmeasured=True)(world, request)
+        return ends(End.DONE, "it hangs on the battery", after)(world, request)
 
     return answer
 

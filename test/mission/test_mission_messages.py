@@ -54,16 +54,6 @@ def test_the_robot_is_not_sent_to_implausible_electrodes(x: float) -> None:
     assert io.read_dock(2, End.FAILED, result, None).suggested is None
 
 
-@pytest.mark.parametrize(
-    ("energy", "current", "unmeasured"), [(math.nan, math.nan, True), (math.nan, 0.0, False), (500.0, 0.0, False)]
-)
-def test_nan_energy_and_current_mean_an_unmeasured_charge(energy: float, current: float, unmeasured: bool) -> None:
-    """NaN energy alone means that a part of it was not measured."""
-    result = Dock.Result(success=True, energy=energy, charge_current=current, error_message="it hangs on the battery")
-    reply = io.read_dock(2, End.DONE, result, None)
-    assert (reply.unmeasured, reply.message) == (unmeasured, "it hangs on the battery")
-
-
 def test_a_suggested_base_pose_is_read_with_its_yaw_and_an_invalid_yaw_gives_none() -> None:
     result = Dock.Result(error_code=Dock.Result.LEANING)
     result.suggested_base_pose = pose_stamped(BasePose(0.1, 0.0, -0.2, -0.3), Time(), "charger_base")
