@@ -16,21 +16,9 @@ from collections import deque
 from collections.abc import Callable
 
 from deltacharger_core.machine import CONTACT_FORCE, LONGEST_LEASE, PROBE_LIFETIME, ChargeLimits
+from deltacharger_driver.board import protocol
 from deltacharger_driver.board.link import BoardLink
-from deltacharger_driver.board.protocol import (
-    LIMITS,
-    AckError,
-    BoardFault,
-    CommandRefused,
-    PowerSample,
-    ProbeResult,
-    TactileSample,
-    clearing,
-    fault_name,
-    limits_problem,
-    probe_problem,
-    weld_problem,
-)
+from deltacharger_driver.board.protocol import BoardFault, CommandRefused, PowerSample, ProbeResult, TactileSample
 from deltacharger_driver.errors import DriverError, NoAnswer
 
 LONGEST_NAME = 64
@@ -122,14 +110,14 @@ class ContactorLease:
         if self.is_live(now):
             if holder != self.holder or not self._is_known(token):
                 raise LeaseRefused(f"'{self.holder}' holds the contactor for another {self.remaining(now):.2f} s")
-            low, high = LIMITS["current"]
+            low, high = protocol.LIMITS["current"]
             current = 0.0 if limits is None else limits.current
             if current != 0.0 and not low <= current <= high:  # also NaN
                 raise LeaseRefused(f"current is {current:g}: give {low:g} to {high:g}, or 0 to leave it")
             return
         if limits is None:
             raise LeaseRefused("a close needs limits of current and voltage: give current_max and voltage_max")
-        if problem := limits_problem(limits):
+        if problem := protocol.limits_problem(limits):
             raise LeaseRefused(f"a close needs limits: {problem}")
         self._check_probe(now, limits.dead)
 
@@ -142,7 +130,7 @@ class ContactorLease:
         if not age < PROBE_LIFETIME:
             state = "there is none since the last opening" if math.isinf(age) else f"it is {age:.1f} s old"
             raise LeaseRefused(f"a close needs a probe younger than {PROBE_LIFETIME:g} s, but {state}; call probe")
-        problem = probe_problem(self.resistance, self.target_voltage, dead)
+        problem = protocol.probe_problem(self.resistance, self.target_voltage, dead)
         if problem:
             raise LeaseRefused(problem)
 
@@ -338,7 +326,7 @@ class ContactorGuard:
         """Return the latched fault and how to clear it; '' if there is none. A weld stays over boards that forget."""
         power = self._power
         fault = int(BoardFault.CONTACTOR_WELDED) if self._welded else power.power.fault if power is not None else 0
-        return f"latched fault: {fault_name(fault)}; {clearing(fault)}" if fault else ""
+        return f"latched fault: {protocol.fault_name(fault)}; {protocol.clearing(fault)}" if fault else ""
 
     def _check_board(self, now: float) -> None:
         power = self._power
@@ -407,8 +395,8 @@ class ContactorGuard:
                 self._link.clear_weld()
             except CommandRefused as error:
                 power = self._power
-                live = weld_problem(power.power) if power is not None else ""
-                if error.error != AckError.INTERLOCK or not live:
+                live = protocol.weld_problem(power.power) if power is not None else ""
+                if error.error != protocol.AckError.INTERLOCK or not live:
                     raise
                 raise LeaseRefused(f"the weld stays latched: {live}; undock and switch the battery off") from error
             with self._lock:

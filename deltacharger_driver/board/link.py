@@ -11,13 +11,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from deltacharger_core.machine import BAUD_RATE, COLUMNS, ROWS, ChargeLimits
+from deltacharger_driver.board import protocol
 from deltacharger_driver.board.protocol import (
-    CLEAR_WELD,
-    HEARTBEAT_PERIOD,
-    LONGEST_SERVO,
-    MINOR,
-    OPEN,
-    PROBE_TIMEOUT,
     AckError,
     BoardLinkCounters,
     BoardMismatch,
@@ -27,11 +22,6 @@ from deltacharger_driver.board.protocol import (
     PowerSample,
     ProbeResult,
     TactileSample,
-    decode_probe,
-    encode_close,
-    encode_limit,
-    encode_rate,
-    encode_servo_speed,
 )
 from deltacharger_driver.board.receiver import BoardReceiver, BoardRequest, BoardRequests
 from deltacharger_driver.errors import NoAnswer, PortGone
@@ -104,7 +94,7 @@ class Heartbeat:
                 if now < due:
                     self._changed.wait(due - now)
                     continue
-            due = max(due + HEARTBEAT_PERIOD, now)
+            due = max(due + protocol.HEARTBEAT_PERIOD, now)
             try:
                 self._send()
             except PortGone:
@@ -113,7 +103,7 @@ class Heartbeat:
 
 def refuse_incompatible(port: str, hello: Hello) -> None:
     """Refuse a board of another version or with other array sizes by `BoardMismatch`."""
-    if hello.major != VERSION or hello.minor < MINOR:
+    if hello.major != VERSION or hello.minor < protocol.MINOR:
         raise BoardMismatch(port, f"the board speaks version {hello.major}.{hello.minor}")
     if (hello.rows, hello.columns) != (ROWS, COLUMNS):
         raise BoardMismatch(port, f"the board has {hello.rows} x {hello.columns} taxels per pad")
@@ -293,7 +283,7 @@ class BoardLink:
             CommandRefused: the board does not support this rate.
         """
         advice: dict[int, str] = {AckError.BAD_PAYLOAD: f"it does not sample at {rate:g} Hz; it starts at 120 Hz"}
-        self._ask(PacketType.RATE, encode_rate(rate), advice=advice)
+        self._ask(PacketType.RATE, protocol.encode_rate(rate), advice=advice)
 
     def tare(self) -> None:
         """Make the board take the present, unloaded reading as zero. The host subtracts nothing more.
@@ -315,7 +305,7 @@ class BoardLink:
         """
         if close and limits is None:
             raise ValueError("a close needs limits of current and voltage")
-        payload = bytes([OPEN]) if limits is None or not close else encode_close(limits)
+        payload = bytes([protocol.OPEN]) if limits is None or not close else protocol.encode_close(limits)
         advice: dict[int, str] = {
             AckError.BAD_PAYLOAD: "a limit of current, voltage or time is out of range",
             AckError.NOT_NOW: "the contactor is already closed",
@@ -334,7 +324,7 @@ class BoardLink:
             CommandRefused: the contactor is open, or the current is out of range.
         """
         advice: dict[int, str] = {AckError.NOT_NOW: "the contactor is open"}
-        self._ask(PacketType.CONTACTOR, encode_limit(current), attempt_timeout=0.05, attempts=4, advice=advice)
+        self._ask(PacketType.CONTACTOR, protocol.encode_limit(current), attempt_timeout=0.05, attempts=4, advice=advice)
 
     def clear_weld(self) -> None:
         """Clear a latched weld. Only a person who has replaced the contactor may order it.
@@ -347,7 +337,7 @@ class BoardLink:
             AckError.INTERLOCK: "contactor or electrodes are live, or their current is not measured",
             AckError.NOT_NOW: "the contactor is closed, or another fault is latched; open it first",
         }
-        self._ask(PacketType.CONTACTOR, bytes([CLEAR_WELD]), attempt_timeout=0.05, attempts=4, advice=advice)
+        self._ask(PacketType.CONTACTOR, bytes([protocol.CLEAR_WELD]), attempt_timeout=0.05, attempts=4, advice=advice)
 
     def probe(self) -> ProbeResult:
         """Look at the port between the electrodes (≤ 5 V, ≤ 50 mA); the board takes up to `PROBE_TIMEOUT`.
@@ -360,9 +350,9 @@ class BoardLink:
             AckError.INTERLOCK: "a fault is latched, or current flows; open the contactor, then probe",
             AckError.NOT_NOW: "the contactor is closed, another probe is running, or an opening interrupted this one",
         }
-        request = self._ask(PacketType.PROBE, attempt_timeout=PROBE_TIMEOUT + 0.1, attempts=2, advice=advice)
+        request = self._ask(PacketType.PROBE, attempt_timeout=protocol.PROBE_TIMEOUT + 0.1, attempts=2, advice=advice)
         assert request.ack is not None
-        resistance, voltage = decode_probe(request.ack.data)
+        resistance, voltage = protocol.decode_probe(request.ack.data)
         return ProbeResult(resistance, voltage, request.received)
 
     def ping(self) -> float:
@@ -377,8 +367,8 @@ class BoardLink:
         Raises:
             PortGone: the port vanished.
         """
-        for at in range(0, len(data), LONGEST_SERVO):
-            self._send(PacketType.SERVO, data[at : at + LONGEST_SERVO])
+        for at in range(0, len(data), protocol.LONGEST_SERVO):
+            self._send(PacketType.SERVO, data[at : at + protocol.LONGEST_SERVO])
 
     def set_servo_speed(self, speed: int) -> None:
         """Set the speed of the servos' bus behind the board, bit/s.
@@ -387,7 +377,7 @@ class BoardLink:
             CommandRefused: the board does not support this speed.
         """
         advice: dict[int, str] = {AckError.BAD_PAYLOAD: f"the servos' bus does not support {speed} bit/s"}
-        self._ask(PacketType.SERVO_SPEED, encode_servo_speed(speed), advice=advice)
+        self._ask(PacketType.SERVO_SPEED, protocol.encode_servo_speed(speed), advice=advice)
 
     def _ask(
         self,

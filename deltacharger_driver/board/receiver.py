@@ -11,12 +11,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from deltacharger_driver.board import protocol
 from deltacharger_driver.board.protocol import (
-    FLAG_OVERRUN,
-    FLAG_TARED,
     Ack,
     BoardLinkCounters,
-    BoardRebooted,
     Hello,
     PacketError,
     PacketType,
@@ -24,13 +22,6 @@ from deltacharger_driver.board.protocol import (
     PowerSample,
     TactileSample,
     Taxels,
-    check_header,
-    decode_ack,
-    decode_hello,
-    decode_ping,
-    decode_power,
-    decode_samples,
-    decode_servo,
 )
 from deltacharger_driver.packets import Packet
 
@@ -177,7 +168,7 @@ class BoardRequests:
         with self._lock:
             for request in self._waiting:
                 if request.type is not PacketType.HELLO and not request.done.is_set():
-                    request.error = BoardRebooted(request.type.name)
+                    request.error = protocol.BoardRebooted(request.type.name)
                     request.done.set()
 
 
@@ -233,7 +224,7 @@ class BoardReceiver:
             _log.debug("dropped a packet of type %d", packet.type)
             return
         try:
-            check_header(packet)
+            protocol.check_header(packet)
             value = _DECODERS[packet.type](packet.payload)
         except PacketError as error:
             self.counters.bad_payloads += 1
@@ -282,7 +273,7 @@ class BoardReceiver:
         if sequence is None:
             return
         self.counters.tactile += 1
-        tared, overrun = bool(packet.flags & FLAG_TARED), bool(packet.flags & FLAG_OVERRUN)
+        tared, overrun = bool(packet.flags & protocol.FLAG_TARED), bool(packet.flags & protocol.FLAG_OVERRUN)
         sample = TactileSample(when, sequence, packet.device_time_us, pads, tared, overrun)
         self._call(self._on_tactile, sample)
 
@@ -299,11 +290,11 @@ class BoardReceiver:
 
 
 _DECODERS: dict[int, Callable[[bytes], Any]] = {
-    PacketType.TACTILE: decode_samples,
-    PacketType.POWER: decode_power,
-    PacketType.HELLO: decode_hello,
-    PacketType.ACK: decode_ack,
-    PacketType.PING: decode_ping,
-    PacketType.SERVO: decode_servo,
+    PacketType.TACTILE: protocol.decode_samples,
+    PacketType.POWER: protocol.decode_power,
+    PacketType.HELLO: protocol.decode_hello,
+    PacketType.ACK: protocol.decode_ack,
+    PacketType.PING: protocol.decode_ping,
+    PacketType.SERVO: protocol.decode_servo,
 }
 """Decoder per packet type. A packet is decoded completely before it changes clock or counters."""

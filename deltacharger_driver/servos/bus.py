@@ -23,31 +23,9 @@ from deltacharger_driver.errors import (
     ServoFault,
 )
 from deltacharger_driver.packets import sync_write_packet
+from deltacharger_driver.servos import registers
 from deltacharger_driver.servos.link import ServoLink, ServoPort
-from deltacharger_driver.servos.registers import (
-    GAINS,
-    HARDWARE_ERRORS,
-    MODE_CURRENT_POSITION,
-    READ_ADDRESS,
-    READ_BLOCK,
-    READ_LENGTH,
-    REGISTERS,
-    WATCHDOG,
-    WATCHDOG_TRIPPED,
-    WRITE_ADDRESS,
-    WRITE_BLOCK,
-    WRITE_LENGTH,
-    BusSettings,
-    Drive,
-    angle_to_ticks,
-    current_to_counts,
-    decode_block,
-    describe_hardware_error,
-    has_restarted,
-    indirect_address,
-    registers_of,
-    ticks_to_angle,
-)
+from deltacharger_driver.servos.registers import GAINS, REGISTERS, BusSettings, Drive
 
 _UPDATE_ADVICE = "update its firmware to 39 or later (Protocol 2.0) with the vendor's wizard"
 _PINGS, _FIRST_PINGS = 2, 10
@@ -72,10 +50,10 @@ def motion_registers(servo: ServoType) -> dict[str, int]:
 
     Other software may have left any value. They are read, and written only if different, because EEPROM wears.
     """
-    table = registers_of(servo)
+    table = registers.registers_of(servo)
     return {
         "return_delay": 0,
-        "operating_mode": MODE_CURRENT_POSITION,
+        "operating_mode": registers.MODE_CURRENT_POSITION,
         **{name: table[name].high for name in ("acceleration_limit", "velocity_limit") if name in table},
         **{name: table[name].default for name in ("velocity_i_gain", "velocity_p_gain")},
         **dict.fromkeys(("position_i_gain", "feedforward_2_gain", "feedforward_1_gain"), 0),
@@ -89,7 +67,7 @@ def _demanded(servo: ServoType, current_max: float) -> dict[str, tuple[int, int,
 
     They were set on purpose.
     """
-    least, rating = current_to_counts(current_max, servo), servo.temperature_limit
+    least, rating = registers.current_to_counts(current_max, servo), servo.temperature_limit
     unit, lowest, highest = servo.voltage_unit, servo.voltage_min, servo.voltage_max
     supply = f"in units of {unit:g} V, for a supply of 12 V"
     return {
@@ -182,7 +160,7 @@ def check_registers(link: ServoLink, servo: int, kind: ServoType, current_max: f
             allowed = f"{low}" if low == high else f"{low} to {high}"
             faults.append(f"servo {servo}: {name.replace('_', ' ')} is {value} and must be {allowed}; {why}")
     shutdown = link.read(servo, "shutdown")
-    lacking = [HARDWARE_ERRORS[bit] for bit in _SHUTDOWN_BITS if not shutdown >> bit & 1]
+    lacking = [registers.HARDWARE_ERRORS[bit] for bit in _SHUTDOWN_BITS if not shutdown >> bit & 1]
     if lacking:
         faults.append(
             f"servo {servo}: shutdown is {shutdown} and does not name {' and '.join(lacking)}; the servo must switch "
@@ -241,11 +219,14 @@ def _prepare(link: ServoLink, servo: int, drive: Drive, faults: list[str]) -> No
     if faults:
         return
     try:
-        decode_block(link.read_bytes(servo, READ_ADDRESS, READ_LENGTH, "read the block of the cycle"), drive.servo)
+        registers.decode_block(
+            link.read_bytes(servo, registers.READ_ADDRESS, registers.READ_LENGTH, "read the block of the cycle"),
+            drive.servo,
+        )
     except RangeError as error:
         faults.append(f"servo {servo}: {error}; restart it, and look for another program on its bus")
     else:
-        _set(link, servo, "bus_watchdog", WATCHDOG, faults)
+        _set(link, servo, "bus_watchdog", registers.WATCHDOG, faults)
 
 
 def restart_watchdog(link: ServoLink, servo: int) -> None:
@@ -255,7 +236,7 @@ def restart_watchdog(link: ServoLink, servo: int) -> None:
         NoAnswer, CorruptReply, ServoFault, PortGone: it cannot be written.
     """
     link.write(servo, "bus_watchdog", 0)
-    link.write(servo, "bus_watchdog", WATCHDOG)
+    link.write(servo, "bus_watchdog", registers.WATCHDOG)
 
 
 def _set(link: ServoLink, servo: int, name: str, value: int, faults: list[str]) -> None:
@@ -282,11 +263,13 @@ def _verify(link: ServoLink, servo: int, name: str, value: int, faults: list[str
 def _map_blocks(link: ServoLink, servo: int, faults: list[str]) -> None:
     """Map the first indirect registers to the read block and the write block."""
     targets = [
-        REGISTERS[name].address + offset for name in READ_BLOCK + WRITE_BLOCK for offset in range(REGISTERS[name].size)
+        REGISTERS[name].address + offset
+        for name in registers.READ_BLOCK + registers.WRITE_BLOCK
+        for offset in range(REGISTERS[name].size)
     ]
     table = struct.pack(f"<{len(targets)}H", *targets)
-    link.write_bytes(servo, indirect_address(0), table, "write the indirect addresses")
-    if link.read_bytes(servo, indirect_address(0), len(table), "read the indirect addresses") != table:
+    link.write_bytes(servo, registers.indirect_address(0), table, "write the indirect addresses")
+    if link.read_bytes(servo, registers.indirect_address(0), len(table), "read the indirect addresses") != table:
         faults.append(f"servo {servo}: the indirect addresses do not read as written; update its firmware")
 
 
@@ -469,14 +452,14 @@ class ServoBus:
     def _read(self, ahead: bytes) -> ServoReport:
         """Read all servos; the packets `ahead`, which get no reply, are sent with the first request."""
         if not any(servo.missed for servo in self._servos):
-            replies = self._link.sync_read(self.settings.ids, READ_ADDRESS, READ_LENGTH, ahead)
+            replies = self._link.sync_read(self.settings.ids, registers.READ_ADDRESS, registers.READ_LENGTH, ahead)
         else:
             replies = {}
             if ahead:
                 self._link.send(ahead)
             for index, servo in enumerate(self._servos):
                 if not self._is_missing(servo) or (self._cycle + index) % _RETRY_EVERY == 0:
-                    replies.update(self._link.sync_read((servo.id,), READ_ADDRESS, READ_LENGTH))
+                    replies.update(self._link.sync_read((servo.id,), registers.READ_ADDRESS, registers.READ_LENGTH))
         now = self.clock.now()
         self._cycle += 1
         for index, servo in enumerate(self._servos):
@@ -501,7 +484,7 @@ class ServoBus:
         rows = []
         for index, (servo, angle, current) in enumerate(zip(self.settings.ids, angles, currents, strict=True)):
             rows.append((servo, _WRITE_LAYOUT.pack(self._bound(current), self._ticks(index, angle))))
-        return sync_write_packet(WRITE_ADDRESS, WRITE_LENGTH, rows)
+        return sync_write_packet(registers.WRITE_ADDRESS, registers.WRITE_LENGTH, rows)
 
     def enable_torque(self, currents: Sequence[float]) -> ServoReport:
         """Switch the torque of all servos on at their present position: goal := present position first.
@@ -523,7 +506,7 @@ class ServoBus:
             if servo.missed:
                 raise NoAnswer(f"servo {servo.id}", "read before switching torque on", self.settings.reply_margin)
             if bits := servo.hardware_error:
-                text = f"{describe_hardware_error(bits)} latched; remove the cause, then reboot it"
+                text = f"{registers.describe_hardware_error(bits)} latched; remove the cause, then reboot it"
                 raise ServoFault(servo.id, "switch torque on", text, bits)
             if not servo.is_placed:
                 raise ServoFault(servo.id, "switch torque on", self._misplaced(servo.row[0]))
@@ -581,8 +564,8 @@ class ServoBus:
     def _bound(self, current: float) -> int:
         """Return a current bound in counts; the check is in counts, so that rounding never refuses the largest."""
         servo, most = self.drive.servo, self.drive.current_max
-        counts = current_to_counts(current, servo) if current >= 0.0 else -1
-        if not 0 <= counts <= current_to_counts(most, servo):
+        counts = registers.current_to_counts(current, servo) if current >= 0.0 else -1
+        if not 0 <= counts <= registers.current_to_counts(most, servo):
             raise RangeError("current bound", current, 0.0, most, " A")
         return counts
 
@@ -597,7 +580,7 @@ class ServoBus:
 
     def _ticks(self, index: int, angle: float) -> int:
         settings = self.settings
-        ticks = angle_to_ticks(angle, settings.zero_ticks[index], settings.direction[index])
+        ticks = registers.angle_to_ticks(angle, settings.zero_ticks[index], settings.direction[index])
         return ticks + self._servos[index].turns * TICKS_PER_TURN
 
     def _place(self, index: int, ticks: int) -> float:
@@ -608,7 +591,7 @@ class ServoBus:
 
         def angle(turns: int) -> float:
             count = ticks - turns * TICKS_PER_TURN
-            return ticks_to_angle(count, settings.zero_ticks[index], settings.direction[index])
+            return registers.ticks_to_angle(count, settings.zero_ticks[index], settings.direction[index])
 
         if not servo.is_placed:
             nearest = math.floor((ticks - settings.zero_ticks[index]) / TICKS_PER_TURN)
@@ -647,19 +630,19 @@ class ServoBus:
         known = self._servos[index]
         known.missed += 1
         known.has_tripped = False
-        if len(data) != READ_LENGTH:
+        if len(data) != registers.READ_LENGTH:
             return
-        if has_restarted(data):
+        if registers.has_restarted(data):
             known.has_restarted, known.has_torque = True, False
             return
         try:
-            reading = decode_block(data, self.drive.servo)
+            reading = registers.decode_block(data, self.drive.servo)
         except RangeError:
             self.counters.implausible += 1
             return
         known.missed, known.seen, known.has_restarted = 0, now, False
         known.hardware_error, known.has_torque = reading.hardware_error, reading.torque_enabled
-        known.has_tripped = reading.watchdog == WATCHDOG_TRIPPED
+        known.has_tripped = reading.watchdog == registers.WATCHDOG_TRIPPED
         sign, servo = self.settings.direction[index], self.drive.servo
         known.row = (
             self._place(index, reading.ticks),
