@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import hashlib
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -37,13 +36,8 @@ def record(path: Path, wrong: int | None = None) -> Path:
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return record(tmp_path_factory.mktemp("recorded") / "measured.csv")
-
-
-@pytest.fixture
-def data(recorded: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copy(recorded, tmp_path))
 
 
 @pytest.mark.rest
@@ -76,11 +70,3 @@ def test_an_outlier_is_named_and_the_geometry_is_not_written(capsys: Capture, tm
     assert (code, found["outliers"], out.exists()) == (1, [14], False)  # two comments and the header come first
     assert run(capsys, *FIT, data, "--out", out, "--force")[0] == 0
     assert "line 14: the other rows" in out.read_text(encoding="utf-8")
-
-
-def test_a_bad_row_is_reported_with_file_and_line(capsys: Capture, data: Path) -> None:
-    lines = data.read_text(encoding="utf-8").splitlines()
-    lines[6] = lines[6].replace(",", ",x", 1)
-    data.write_text("\n".join(lines), encoding="utf-8")
-    found = refuses(capsys, f"calibrate kinematics {data}", "line 7")
-    assert (found["file"], found["lines"]) == (str(data), [7])

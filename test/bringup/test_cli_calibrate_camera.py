@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import shlex
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.rendering.camera import OAK_D
 
-from ..vision.hand_eye_rig import ARM, Rig, squared
+from ..vision.hand_eye_rig import Rig, squared
 from .command import Capture, answer, refuses, run
 
 cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
@@ -33,14 +32,8 @@ def rig() -> Rig:
 
 @pytest.fixture(scope="module")
 def taken(rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of views, read-only."""
+    """A folder of views."""
     return rig.write(tmp_path_factory.mktemp("views") / "taken", COUNT)
-
-
-@pytest.fixture
-def views(taken: Path, tmp_path: Path) -> Path:
-    """A folder of views that a test may change."""
-    return Path(shutil.copytree(taken, tmp_path / "views"))
 
 
 @pytest.fixture
@@ -108,19 +101,6 @@ def test_a_wrong_size_is_named_and_nothing_is_written_without_force(
     assert float(doubt.split("size is ")[1].split()[0]) == pytest.approx(40.0, abs=0.4)
     assert run(capsys, *words, "--force")[0] == 0
     assert yaml.safe_load(out.read_text(encoding="utf-8"))["calibration"]["doubts"] == [doubt]
-
-
-@pytest.mark.rest
-def test_another_board_too_few_views_and_one_line_are_refused(capsys: Capture, rig: Rig, views: Path) -> None:
-    refuses(capsys, shlex.join(line(rig, views, "--board", "apriltag:36h11:3")), "apriltag:36h11:3", 1)
-    lines = lines_of(views)
-    rewrite(views, lines[:5])
-    refuses(capsys, shlex.join(line(rig, views)), "4 views")
-    names = [each.split(",")[0] for each in lines[1:]]
-    angles = [ARM.inverse(0.01 * n - 0.04, 0.0, 0.02) for n in range(len(names))]
-    cells = [",".join([name, *(f"{angle:.7f}" for angle in each)]) for name, each in zip(names, angles, strict=True)]
-    rewrite(views, [lines[0], *cells])
-    refuses(capsys, shlex.join(line(rig, views)), "one line, x")
 
 
 def shrunk(folder: Path) -> None:

@@ -107,20 +107,6 @@ def test_consecutive_dockings_are_two_records(tmp_path: Path) -> None:
     assert second_.began_ns - first_.began_ns == 4_200_000_000
 
 
-def test_a_folder_that_cannot_be_written_ends_recording_until_it_can(tmp_path: Path) -> None:
-    folder = tmp_path / "records"
-    folder.write_text("in the way")
-    recording = recorder(folder)
-    now = play(recording, docking(*refused(Code.NO_CONTACT, "nothing is there"), until=4.0))
-    assert "records" in recording.problem
-    finish(recording, now)
-    folder.unlink()
-    again = [Raw(each.topic, each.received + 20 * 10**9, each.published, each.data) for each in docking()]
-    play(recording, again)
-    assert recording.problem == ""
-    assert recording.path is not None
-
-
 def full(*_: Any) -> None:
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 

@@ -17,7 +17,7 @@ from rclpy.qos import DurabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
 
 from deltacharger_core.mcap_file import McapFile, Raw
-from deltacharger_records.recording.mcap_recording import TOPICS, McapWriter, schema_text, type_name
+from deltacharger_records.recording.mcap_recording import TOPICS, McapWriter
 
 pytestmark = pytest.mark.ros
 
@@ -75,12 +75,3 @@ def test_each_topic_tells_what_its_publisher_offers_so_that_ros2_bag_offers_it_t
     }
     late = [name for name, (each,) in offered.items() if each["durability"] == DurabilityPolicy.TRANSIENT_LOCAL]
     assert late == ["/a/docking_state"]
-
-
-def test_a_schema_contains_the_definitions_of_all_parts() -> None:
-    for topic in TOPICS:
-        assert schema_text(topic.kind)
-    first, *parts = schema_text(TactileFrame).split("=" * 80 + "\n")
-    assert [part.splitlines()[0] for part in parts] == ["MSG: std_msgs/Header", "MSG: builtin_interfaces/Time"]
-    assert [name for name in TactileFrame.get_fields_and_field_types() if f" {name}" not in first] == []
-    assert type_name(TactileFrame) == "deltacharger/msg/TactileFrame"

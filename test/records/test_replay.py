@@ -159,33 +159,6 @@ def test_a_folder_is_listed(tapes: Path, tmp_path: Path, capsys: Capture) -> Non
     assert (len(printed.splitlines()), "1970" in printed) == (len(records), False)
 
 
-@pytest.fixture(scope="module")
-def live(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """What a recorder has written."""
-    path = tmp_path_factory.mktemp("live") / "a.mcap"
-    return write(path, docking(*refused(Code.NO_CONTACT, "nothing is there"), until=4.0)).read_bytes()
-
-
-@pytest.mark.parametrize("share", [0.3, 0.999])
-@pytest.mark.parametrize("end", [b"", b"\xff" * 3000])
-def test_a_truncated_or_damaged_record_is_read_up_to_that_place(
-    tmp_path: Path, live: bytes, share: float, end: bytes
-) -> None:
-    path = tmp_path / "a.mcap"
-    path.write_bytes(live[: round(share * len(live))] + end)
-    found = replay(path)
-    assert found.recording.damage
-    assert 0.0 < found.end <= 3.1
-    assert why(found)
-
-
-def test_a_recording_without_states_is_refused(tmp_path: Path, capsys: Capture) -> None:
-    write(tmp_path / "a.mcap", readings(0.0, 0.1), topics={NAMES["servo_state"]: RECORDED[NAMES["servo_state"]]})
-    write(tmp_path / "b.mcap", [])
-    for name in ("a", "b"):
-        refuses(capsys, f"replay {tmp_path}/{name}.mcap", "docking_state")
-
-
 def test_two_chargers_in_one_recording_need_a_namespace(tmp_path: Path, capsys: Capture) -> None:
     path = tmp_path / "two.mcap"
     topics = dict.fromkeys(("/left/docking_state", "/right/docking_state"), RECORDED[NAMES["docking_state"]])
