@@ -96,12 +96,6 @@ def test_a_missed_ridge_exerts_no_force() -> None:
     assert one[1].sum() == pytest.approx(60.0)
 
 
-PERFECT = SensorParameters(
-    hysteresis=0.0, creep=0.0, gain_spread=0.0, cross_talk=0.0, fixed_offset=0.0, docking_offset=0.0,
-    noise=0.0, noise_gain=0.0, dead_taxels=0,
-)  # fmt: skip
-
-
 def sensor(parameters: SensorParameters, seed: int = 1) -> tuple[Sensor, TactileParameters, Rig]:
     family = dataclasses.replace(TactileParameters(), sensor=parameters)
     rig = Rig.draw(family, seed)
