@@ -175,11 +175,7 @@ class TargetProfile(Bounded):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for lower, upper in {
-            "empty_voltage": "full_voltage",
-            "end_current": "current",
-            "least_current": "current",
-        }.items():
+        for lower, upper in _BELOW:
             if not getattr(self, lower) < getattr(self, upper):
                 raise ParameterError(lower, getattr(self, lower), f"{lower} must lie below {upper}")
 
