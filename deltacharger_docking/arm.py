@@ -27,7 +27,7 @@ _SOFTEST, _STIFFEST = 1.5, 60.0  # N·m/rad that are accepted: the tested range,
 _HELD_BACK, _HELD_ON = 0.5, 0.8  # of the friction in free air that may come on top; chosen on seed 43
 _CONSTANT_MAX = 1.66 / 1.463  # BAM's torque constant over the one by stall
 _LONGEST_SETTLE = 1.5  # s, of servos that hardly brake, or creep
-_FITS = 1.5  # ratio of configured and estimated stiffness that is not reported
+_FITS = 1.5  # ratio of two readings of one compliance
 
 
 class Springs:
@@ -49,7 +49,6 @@ class Springs:
     """
 
     def __init__(self, parameters: DockingParameters) -> None:
-        self._configured = parameters.servo_stiffness
         self._constant = parameters.torque_constant
         self.damping = SERVO_DAMPING
         self.dampings: Vector = (math.nan, math.nan, math.nan)
@@ -58,7 +57,7 @@ class Springs:
         self.beyond_weight: Vector = (0.0, 0.0, 0.0)
         self.friction_force = 0.0
         self._yields = self._squares = 0.0  # rad·A and A²
-        self.compliance = self._constant / self._configured
+        self.compliance = self._constant / parameters.servo_stiffness
         self.is_estimated = False
 
     @property
@@ -112,17 +111,6 @@ class Springs:
         if _SOFTEST <= stiffness <= _STIFFEST:
             self.compliance, self.is_estimated = self._constant / stiffness, True
             self._yields, self._squares = self.compliance * _REMEMBERED, _REMEMBERED
-
-    @property
-    def contradiction(self) -> str:
-        """Warning if estimated and configured stiffness differ; '' = they agree, or there is no estimate."""
-        ratio = self.stiffness / self._configured
-        if 1.0 / _FITS <= ratio <= _FITS:
-            return ""
-        return (
-            f"; the servos yield as with {self.stiffness:.1f} N·m/rad, but servo_stiffness is {self._configured:g}: "
-            "measure it with `deltacharger calibrate servos`"
-        )
 
     def add_reading(self, goals: Vector, angles: Vector, rates: Vector, currents: Vector) -> None:
         """Use a reading with fixed goals (rad): arm angles (rad) and rates (rad/s), and currents (A).

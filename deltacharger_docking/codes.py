@@ -241,8 +241,7 @@ REMEDIES: dict[Code, str] = {
     Code.DETECTION_STALE: "check the camera's rate; if it is on another computer, compare the clocks",
     Code.UNREACHABLE: "move the robot to `suggested_base_pose`",
     Code.NO_CONTACT: "check that the target is there and its coordinates are right",
-    Code.OVERCURRENT: "the target moved toward the charger, or `servo_stiffness` is wrong, as the message states; "
-    "charge current: have the power stage's limiter checked",
+    Code.OVERCURRENT: "the target moved toward the charger; charge current: have the power stage's limiter checked",
     Code.SERVO_FAULT: "see the message; `reboot_servos` clears latched errors",
     Code.STUCK: "the magnets hold: free the target by hand",
     Code.TARGET_ROLLS: "set the brakes of target and charger, and move the target back to its place",

@@ -249,7 +249,6 @@ def _into_band(context: Context, depth: float) -> Script[None]:
             if overshoots > _OVERSHOOTS_MAX:
                 raise codes.Overcurrent(
                     f"contact current overshot to {before:.2f} A {overshoots} times; is the target moving?"
-                    f"{context.springs.contradiction}"
                 )
             yield from step_to(context, z - _OVERSHOOT_BACK_OFF / slope)
             continue

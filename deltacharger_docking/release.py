@@ -204,7 +204,6 @@ def _stuck(context: Context) -> Stuck:
     return Stuck(
         f"the magnets held against {RELEASE_CURRENT:.1f} A per servo for "
         f"{_RELEASE_TIME:.1f} s; move the target away by hand, or use weaker magnets"
-        f"{context.springs.contradiction}"
     )
 
 
@@ -249,8 +248,7 @@ def retract(context: Context, wanted: bool = False) -> Script[None]:
         context.decide("retracted", "the arm is home" if away <= LIFT else "the arm stayed", away_m=away)
         if away > LIFT:
             context.check_moved(begun)
-            told = f"the arm stayed {1000 * away:.0f} mm from home; free it from the target by hand"
-            raise Stuck(told + context.springs.contradiction)
+            raise Stuck(f"the arm stayed {1000 * away:.0f} mm from home; free it from the target by hand")
     context.status.docked = False
     yield from prove_dead(context)
     reply = yield from context.ask(Service.TORQUE_OFF, ServoFailure, SERVICE_TIMEOUT)

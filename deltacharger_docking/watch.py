@@ -125,8 +125,7 @@ class Watches:
         context, most = self._context, self._context.parameters.hard_current
         if context.lets_go or context.contact.span < _PUSHED or not context.contact.value > most:
             return None
-        told = f"contact current is {context.contact.value:.2f} A, above {most} A"
-        return codes.Overcurrent(told + context.springs.contradiction)
+        return codes.Overcurrent(f"contact current is {context.contact.value:.2f} A, above {most} A")
 
     def _gives_way(self) -> DockingError | None:
         """The target rolls before the push, or takes the arm along by its magnets, which the push bound cannot stop."""
