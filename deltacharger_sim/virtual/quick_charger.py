@@ -199,8 +199,6 @@ class QuickCharger(VirtualCharger):
         self._proportional = proportional
         super().__init__(world, parameters, seed, rig_seed, pads, geometry, profile)
         self._arrived: tuple[Waypoint, ...] = ()  # the line whose end has been commanded
-        self._followed: tuple[Waypoint, ...] = ()  # the line to which the next number belongs
-        self._segment = 0
         self._current = math.nan  # A, into the target at the last observation
         self._felt: Array | None = None  # N, the last tared frame made in contact
         self._largest = 0.0  # N on the taxel with the largest reading
@@ -279,31 +277,11 @@ class QuickCharger(VirtualCharger):
         if line and self._arrived is line:
             return
         if line:
-            self._segment = 0 if self._followed is not line else self._segment
-            self._followed = line
             self._bound, self._goal = self._along(line, elapsed)
         for index in range(3):
             self.world.command(index, self._torque, self._goal[index], self._bound[index])
         if line and self._torque and elapsed >= line[-1].time:
             self._arrived = line
-
-    def _along(self, line: tuple[Waypoint, ...], elapsed: float) -> tuple[list[float], list[float]]:
-        """Return bounds (A) and goal angles (rad) `elapsed` s after a line was sent; calls are in time order."""
-        last = len(line) - 1
-        while self._segment < last and elapsed >= line[self._segment].time:
-            self._segment += 1
-        point = line[self._segment]
-        a, b, c = point.torque_bound
-        constant = self.parameters.torque_constant
-        bound = [a / constant, b / constant, c / constant]
-        if elapsed >= point.time:
-            return bound, list(point.angles)
-        before, since = (
-            (line[self._segment - 1].angles, line[self._segment - 1].time) if self._segment else (self._from, 0.0)
-        )
-        share = (elapsed - since) / (point.time - since)
-        (a, b, c), (d, e, f) = before, point.angles
-        return bound, [a + share * (d - a), b + share * (e - b), c + share * (f - c)]
 
     def _pass(self, ticks: int, standing: bool) -> None:
         """Let `ticks` of 10 ms pass, feeding the machine the readings that its next decision needs."""

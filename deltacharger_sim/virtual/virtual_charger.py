@@ -131,6 +131,8 @@ class VirtualCharger:
         self._torque = False
         self._trajectory: tuple[Waypoint, ...] = ()
         self._started = 0.0
+        self._followed: tuple[Waypoint, ...] = ()  # the line to which the next number belongs
+        self._segment = 0
         self._goal = [0.0, 0.0, 0.0]
         self._from = [0.0, 0.0, 0.0]
         self._bound = [CURRENT_BOUND] * 3
@@ -310,17 +312,31 @@ class VirtualCharger:
         return [self.plant.read_servo(index)[0] for index in range(3)]
 
     def _servos(self) -> None:
-        elapsed, previous, since = self.now - self._started, self._from, 0.0
-        for point in self._trajectory:
-            self._bound = [torque / self.parameters.torque_constant for torque in point.torque_bound]
-            if elapsed < point.time:
-                share = (elapsed - since) / (point.time - since)
-                self._goal = [a + share * (b - a) for a, b in zip(previous, point.angles, strict=True)]
-                break
-            self._goal, previous, since = list(point.angles), list(point.angles), point.time
+        if self._trajectory:
+            self._bound, self._goal = self._along(self._trajectory, self.now - self._started)
         for index in range(3):
             self.plant.command_servo(index, self._torque, self._goal[index], self._bound[index])
         self._watch_joints()
+
+    def _along(self, line: tuple[Waypoint, ...], elapsed: float) -> tuple[list[float], list[float]]:
+        """Return bounds (A) and goal angles (rad) `elapsed` s after a line was sent; calls are in time order."""
+        if self._followed is not line:
+            self._followed, self._segment = line, 0
+        last = len(line) - 1
+        while self._segment < last and elapsed >= line[self._segment].time:
+            self._segment += 1
+        point = line[self._segment]
+        a, b, c = point.torque_bound
+        constant = self.parameters.torque_constant
+        bound = [a / constant, b / constant, c / constant]
+        if elapsed >= point.time:
+            return bound, list(point.angles)
+        before, since = (
+            (line[self._segment - 1].angles, line[self._segment - 1].time) if self._segment else (self._from, 0.0)
+        )
+        share = (elapsed - since) / (point.time - since)
+        (a, b, c), (d, e, f) = before, point.angles
+        return bound, [a + share * (d - a), b + share * (e - b), c + share * (f - c)]
 
     def _watch_joints(self) -> None:
         """Stop the arm as servo_node does if a joint strays: hold, open the contactor, torque off after `STOP_TIME`."""
