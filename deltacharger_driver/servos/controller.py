@@ -36,6 +36,7 @@ OK, WARN, ERROR = b"\0", b"\1", b"\2"
 """Levels of diagnostic_msgs/DiagnosticStatus."""
 _HOT = 10.0  # °C below the servo's own limit
 _LITTLE_RESERVE = 60.0  # s
+_SMOOTHING = 0.5  # s, time constant of the current in `reserve`; the heat uses the unsmoothed current
 
 REST_TEMPERATURE = 25.0  # °C, where the heat is 0
 
@@ -77,13 +78,11 @@ class ThermalModel:
 
     Args:
         servo: its type.
-        smoothing: time constant of the current in `reserve`, s; 0 = none. The heat uses the unsmoothed current.
     """
 
-    def __init__(self, servo: ServoType, smoothing: float = 0.5) -> None:
+    def __init__(self, servo: ServoType) -> None:
         self.heat = 0.0
         self._servo = servo
-        self._smoothing = smoothing
         self._square = math.nan
         self._mean_square = math.nan
 
@@ -106,10 +105,10 @@ class ThermalModel:
         constant = self._servo.heat_constant
         final = self._square * constant
         self.heat = final + (self.heat - final) * math.exp(-elapsed / constant)
-        if math.isnan(self._mean_square) or self._smoothing <= 0.0:
+        if math.isnan(self._mean_square):
             self._mean_square = self._square
         else:
-            self._mean_square += (self._square - self._mean_square) * -math.expm1(-elapsed / self._smoothing)
+            self._mean_square += (self._square - self._mean_square) * -math.expm1(-elapsed / _SMOOTHING)
 
     def reserve(self) -> float:
         """Return the time for which the present current may flow until the limit, s; inf if never reached.

@@ -13,20 +13,12 @@ import struct
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from deltacharger_core.machine import (
-    BAUD_RATE,
-    EXTENDED_TICKS,
-    GAIN_MAX,
-    JOINT_MAX,
-    JOINT_MIN,
-    SERVO_IDS,
-    TICKS_PER_TURN,
-)
+from deltacharger_core import machine
 from deltacharger_core.servo_types import MX_64, ServoType
 from deltacharger_driver.errors import DriverError, RangeError
 from deltacharger_driver.parameters import REPLY_MARGIN
 
-TICK = 2.0 * math.pi / TICKS_PER_TURN  # rad
+TICK = 2.0 * math.pi / machine.TICKS_PER_TURN  # rad
 WATCHDOG_UNIT = 0.02  # s
 WATCHDOG_TRIPPED = 255  # −1 in one byte
 
@@ -163,20 +155,20 @@ def registers_of(servo: ServoType) -> dict[str, Register]:
         "status_return_level": Register(68, 1, 2, 0, 2),
         "registered": Register(69, 1, 0),
         "hardware_error": Register(70, 1, 0),
-        "velocity_i_gain": Register(76, 2, 1920, 0, GAIN_MAX),
-        "velocity_p_gain": Register(78, 2, 100, 0, GAIN_MAX),
-        "position_d_gain": Register(80, 2, 0, 0, GAIN_MAX),
-        "position_i_gain": Register(82, 2, 0, 0, GAIN_MAX),
-        "position_p_gain": Register(84, 2, servo.position_p_gain, 0, GAIN_MAX),
-        "feedforward_2_gain": Register(88, 2, 0, 0, GAIN_MAX),
-        "feedforward_1_gain": Register(90, 2, 0, 0, GAIN_MAX),
+        "velocity_i_gain": Register(76, 2, 1920, 0, machine.GAIN_MAX),
+        "velocity_p_gain": Register(78, 2, 100, 0, machine.GAIN_MAX),
+        "position_d_gain": Register(80, 2, 0, 0, machine.GAIN_MAX),
+        "position_i_gain": Register(82, 2, 0, 0, machine.GAIN_MAX),
+        "position_p_gain": Register(84, 2, servo.position_p_gain, 0, machine.GAIN_MAX),
+        "feedforward_2_gain": Register(88, 2, 0, 0, machine.GAIN_MAX),
+        "feedforward_1_gain": Register(90, 2, 0, 0, machine.GAIN_MAX),
         "bus_watchdog": Register(98, 1, 0, 0, 127),
         "goal_pwm": Register(100, 2, servo.pwm_limit, -servo.pwm_limit, servo.pwm_limit, True),
         "goal_current": Register(102, 2, servo.current_limit, -servo.current_limit, servo.current_limit, True),
         "goal_velocity": Register(104, 4, 0, -1023, 1023, True),
         "profile_acceleration": Register(108, 4, 0, 0, 32767),
         "profile_velocity": Register(112, 4, 0, 0, 32767),
-        "goal_position": Register(116, 4, 0, -EXTENDED_TICKS, EXTENDED_TICKS, True),
+        "goal_position": Register(116, 4, 0, -machine.EXTENDED_TICKS, machine.EXTENDED_TICKS, True),
         "moving": Register(122, 1, 0),
         "present_current": Register(126, 2, 0, signed=True),
         "present_velocity": Register(128, 4, 0, signed=True),
@@ -224,7 +216,7 @@ def angle_to_ticks(angle: float, zero_ticks: int, direction: int) -> int:
     Raises:
         RangeError: outside the goal register's range, or not finite.
     """
-    limit = EXTENDED_TICKS * TICK
+    limit = machine.EXTENDED_TICKS * TICK
     if not -limit <= angle <= limit:
         raise RangeError("angle", angle, -limit, limit, " rad")
     return zero_ticks + direction * round(angle / TICK)
@@ -312,16 +304,16 @@ class BusSettings:
     """
 
     port: str
-    baud_rate: int = BAUD_RATE
-    ids: tuple[int, ...] = SERVO_IDS
+    baud_rate: int = machine.BAUD_RATE
+    ids: tuple[int, ...] = machine.SERVO_IDS
     zero_ticks: tuple[int, ...] = (2048, 2048, 2048)
     direction: tuple[int, ...] = (1, 1, 1)
     reply_margin: float = REPLY_MARGIN
     torque_constant: float | None = None
     current_max: float | None = None
     gains: tuple[int | None, ...] = (None, None)
-    joint_min: float = JOINT_MIN
-    joint_max: float = JOINT_MAX
+    joint_min: float = machine.JOINT_MIN
+    joint_max: float = machine.JOINT_MAX
 
     @property
     def reach(self) -> tuple[float, float]:

@@ -54,17 +54,10 @@ from deltacharger_core.servo_types import MX_64
 from deltacharger_core.texts import quantity
 from deltacharger_driver.errors import DriverError, NoServosBehindBoard, TrajectoryRefused
 from deltacharger_driver.parameters import BOARD_MARGIN, OF_TYPE, SERVOS_FOLLOW, ServoNodeParameters
+from deltacharger_driver.servos import motion
 from deltacharger_driver.servos.bus import ServoPhase, ServoReport
 from deltacharger_driver.servos.controller import Contactor, ServoController, bus_entry, servo_entry
-from deltacharger_driver.servos.motion import (
-    ContactorState,
-    JointLimits,
-    MotionGuard,
-    Sender,
-    ServoWaypoint,
-    check,
-    check_age,
-)
+from deltacharger_driver.servos.motion import ContactorState, MotionGuard, Sender
 from deltacharger_driver.servos.registers import GAINS, BusSettings, Drive
 from deltacharger_ros import node_support
 from deltacharger_ros.clock import Stamps, stamp_age
@@ -225,7 +218,7 @@ class TrajectoryInbox:
         last_refusal: reason of the last refusal.
     """
 
-    def __init__(self, node: Node, limits: JointLimits) -> None:
+    def __init__(self, node: Node, limits: motion.JointLimits) -> None:
         self.refused = self.forbidden = 0
         self.last_refusal = ""
         self._node = node
@@ -278,12 +271,12 @@ class TrajectoryInbox:
         """Submit a trajectory or raise TrajectoryRefused."""
         if controller.phase is not ServoPhase.ON:
             self._followed = None
-        trajectory = check(message.joint_names, [_waypoint(point) for point in message.points], self._limits)
+        trajectory = motion.check(message.joint_names, [_waypoint(point) for point in message.points], self._limits)
         stamp = message.header.stamp
         old = self._age(stamp)
         line = (sender, stamp.sec, stamp.nanosec)
         # A later piece of a running line is as old as its end: the line itself may last longer than a stamp is valid.
-        check_age(max(old - trajectory.duration, 0.0) if line == self._followed else old)
+        motion.check_age(max(old - trajectory.duration, 0.0) if line == self._followed else old)
         start = controller.now() - old if stamp.sec or stamp.nanosec else math.inf
         controller.submit(trajectory, start)
         self._followed = line if not trajectory.is_hold else self._followed
@@ -301,8 +294,8 @@ class TrajectoryInbox:
         self.last_refusal = str(TrajectoryRefused(reason))
 
 
-def _waypoint(point: JointTrajectoryPoint) -> ServoWaypoint:
-    return ServoWaypoint(seconds(point.time_from_start), point.positions, point.effort)
+def _waypoint(point: JointTrajectoryPoint) -> motion.ServoWaypoint:
+    return motion.ServoWaypoint(seconds(point.time_from_start), point.positions, point.effort)
 
 
 def _wait_for_board(port: Path) -> None:
@@ -356,7 +349,7 @@ class ServoNode(Node):
         self._tell_type(drive)
         # Only now: no trajectory may be accepted before the servos are known.
         largest = drive.current_max * drive.torque_constant * (1.0 + 1e-9)
-        self._inbox = TrajectoryInbox(self, JointLimits(JOINTS, given.joint_min, given.joint_max, largest))
+        self._inbox = TrajectoryInbox(self, motion.JointLimits(JOINTS, given.joint_min, given.joint_max, largest))
         self._thread = threading.Thread(target=self._run, name="servo bus", daemon=True)
         self._thread.start()
         group = ReentrantCallbackGroup()

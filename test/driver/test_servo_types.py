@@ -222,7 +222,7 @@ def test_a_bound_is_never_rounded_up(kind: ServoType) -> None:
 
 @pytest.mark.parametrize("current", [0.7, 1.5, 3.0])
 def test_the_model_reaches_the_limit_when_predicted(current: float) -> None:
-    model = ThermalModel(MX_64, smoothing=0.0)
+    model = ThermalModel(MX_64)
     model.update(current, 0.0)
     promised = model.reserve()
     elapsed = 0.0
