@@ -29,7 +29,7 @@ _ABSENT = (errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO, errno.ENOTDIR, er
 
 _WRITE_TIMEOUT = 0.2  # s; a port that accepts no bytes for this time counts as unplugged
 
-_LONGEST_WAIT = 0.5  # s; stop() works even if the wake-up pipe fails
+_LONGEST_WAIT = 0.5  # s; stop() works even if the wake-up fails
 
 
 def latency_timer(port: str) -> float:
@@ -125,10 +125,10 @@ class RawPort:
         self.port = port
         self._serial = open_serial(port, baud_rate)
         self._descriptor = int(self._serial.fileno())
-        self._wake_reader, self._wake_writer = os.pipe()
+        self._waker = os.eventfd(0)
         self._poller = select.poll()
         self._poller.register(self._descriptor, select.POLLIN)
-        self._poller.register(self._wake_reader, select.POLLIN)
+        self._poller.register(self._waker, select.POLLIN)
 
     def set_speed(self, baud_rate: int) -> None:
         """Change the speed, bit/s; unread bytes are discarded.
@@ -161,8 +161,8 @@ class RawPort:
         """
         try:
             ready = dict(self._poller.poll(timeout * 1000.0))
-            if self._wake_reader in ready:
-                os.read(self._wake_reader, 64)
+            if self._waker in ready:
+                os.eventfd_read(self._waker)
             if self._descriptor not in ready:
                 return b""
             data = os.read(self._descriptor, 4096)
@@ -199,15 +199,14 @@ class RawPort:
     def wake(self) -> None:
         """End a `read` waiting in another thread."""
         with contextlib.suppress(OSError):
-            os.write(self._wake_writer, b"x")
+            os.eventfd_write(self._waker, 1)
 
     def close(self) -> None:
         """Release the port; no thread may be reading. Never raises."""
         with contextlib.suppress(*HANG_UPS):
             self._serial.close()
-        for descriptor in (self._wake_reader, self._wake_writer):
-            with contextlib.suppress(OSError):
-                os.close(descriptor)
+        with contextlib.suppress(OSError):
+            os.close(self._waker)
 
 
 def _speed_of(descriptor: int) -> int:
@@ -244,7 +243,7 @@ class PseudoTerminal:
         self._link = link
         self._thread: threading.Thread | None = None
         self._master = self._slave = -1
-        self._wake_reader = self._wake_writer = -1
+        self._waker = -1
         self._stopping = False
         self._wanted = True
         self._plugged = threading.Event()
@@ -261,7 +260,7 @@ class PseudoTerminal:
 
     def start(self) -> PseudoTerminal:
         """Open the terminal, create the link and start the thread."""
-        self._wake_reader, self._wake_writer = os.pipe()
+        self._waker = os.eventfd(0)
         self._stopping = False
         self._wanted = True
         self._connect()
@@ -274,12 +273,11 @@ class PseudoTerminal:
         if self._thread is None:
             return
         self._stopping = True
-        os.write(self._wake_writer, b"x")
+        os.eventfd_write(self._waker, 1)
         self._thread.join()
         self._thread = None
         self._disconnect()
-        os.close(self._wake_reader)
-        os.close(self._wake_writer)
+        os.close(self._waker)
 
     def unplug(self) -> None:
         """Pull the cable: the host loses its port, the device keeps running."""
@@ -292,13 +290,13 @@ class PseudoTerminal:
     def wake(self) -> None:
         """Poll the device now, regardless of `next_event`; callable from any thread."""
         with contextlib.suppress(OSError):
-            os.write(self._wake_writer, b"x")
+            os.eventfd_write(self._waker, 1)
 
     def _switch(self, wanted: bool, done: threading.Event) -> None:
         if self._thread is None:
             return
         self._wanted = wanted
-        os.write(self._wake_writer, b"x")
+        os.eventfd_write(self._waker, 1)
         done.wait(_LONGEST_WAIT * 4)
 
     def _connect(self) -> None:
@@ -352,12 +350,12 @@ class PseudoTerminal:
         """Wait for bytes, the device's next event or a wake-up; then pass bytes on."""
         wait = min(max(self._device.next_event(time.monotonic()), 0.0), _LONGEST_WAIT)
         poller = select.poll()
-        poller.register(self._wake_reader, select.POLLIN)
+        poller.register(self._waker, select.POLLIN)
         if self._master >= 0:
             poller.register(self._master, select.POLLIN)
         ready = dict(poller.poll(wait * 1000.0))
-        if self._wake_reader in ready:
-            os.read(self._wake_reader, 64)
+        if self._waker in ready:
+            os.eventfd_read(self._waker)
         if self._master in ready:
             data = os.read(self._master, 4096)
             self._send(self._device.receive(data, time.monotonic()))
