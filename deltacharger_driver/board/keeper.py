@@ -67,9 +67,7 @@ class PassThrough:
                 runtime.make(self.path.parent)
                 self._terminal.start()
             except OSError as error:
-                raise PortError(
-                    str(self.path), f"the servo port behind the board cannot be created: {error}"
-                ) from error
+                raise PortError(str(self.path), f"it cannot be created for the servos: {error}") from error
             self._is_open = True
 
     def close(self) -> None:

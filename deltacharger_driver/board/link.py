@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-import itertools
-import struct
+import os
 import threading
 import time
 from collections.abc import Callable
@@ -29,7 +28,6 @@ from deltacharger_driver.packets import VERSION, DecoderCounters, Packet, Packet
 from deltacharger_driver.ports import RawPort
 
 _NEVER = float("-inf")
-_PING_NUMBERS = itertools.count()
 
 
 class Heartbeat:
@@ -357,7 +355,7 @@ class BoardLink:
 
     def ping(self) -> float:
         """Have some bytes returned, and return the round-trip time, s."""
-        data = struct.pack("<Q", next(_PING_NUMBERS))
+        data = os.urandom(8)
         sent = time.monotonic()
         return self._ask(PacketType.PING, data).received - sent
 
