@@ -42,9 +42,10 @@ def hear_hangups() -> None:
 class Process:
     """A program under test, with its output read continuously."""
 
-    def __init__(self, *words: str) -> None:
+    def __init__(self, *words: str, stdin: int | None = None) -> None:
         self.process = subprocess.Popen(
             words,
+            stdin=stdin,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import signal
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -31,15 +31,7 @@ class Operator(Process):
     """`--measure` with an operator at its terminal."""
 
     def __init__(self, *words: str) -> None:
-        reading, self._writing = os.pipe()
-        before = os.dup(0)
-        os.dup2(reading, 0)
-        try:
-            super().__init__(*words)
-        finally:
-            os.dup2(before, 0)
-            os.close(before)
-            os.close(reading)
+        super().__init__(*words, stdin=subprocess.PIPE)
         self._answered = 0
 
     def wait_for_question(self) -> None:
@@ -52,10 +44,8 @@ class Operator(Process):
     def answer(self, text: str | Callable[[], str]) -> None:
         self.wait_for_question()
         self._answered += 1
-        os.write(self._writing, f"{text if isinstance(text, str) else text()}\n".encode())
-
-    def hang_up(self) -> None:
-        os.close(self._writing)
+        assert self.process.stdin is not None
+        print(text if isinstance(text, str) else text(), file=self.process.stdin, flush=True)
 
 
 @pytest.fixture(scope="module")
@@ -147,7 +137,7 @@ def test_after_any_end_the_torque_is_off_and_measurements_are_kept(
     if isinstance(how, signal.Signals):
         assert user.end(how) == 130, user.err
     else:
-        user.hang_up()
+        user.process.stdin.close()
         assert user.end() == 1, user.err
     assert json.loads(user.out[0])["success"] is False
     wait_until(lambda: not torque(charger), "torque off")

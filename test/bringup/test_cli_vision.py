@@ -17,7 +17,7 @@ from deltacharger_vision.mount import CAMERA_FRAME
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
 from deltacharger_vision.rendering.scene import RenderedScene
 
-from .command import Capture, answer, refuses, run
+from .command import Capture, answer, run
 
 cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
@@ -141,8 +141,8 @@ def test_without_depth_the_image_alone_is_used(files: Path, tmp_path: Path, caps
     near(found)
 
 
-def record(path: Path, *images: tuple[str, Array, int], info: bool = True) -> Path:
-    """Write images (topic, pixels, stamp), and their intrinsics unless without `info`."""
+def record(path: Path, *images: tuple[str, Array, int]) -> Path:
+    """Write images (topic, pixels, stamp), and their intrinsics."""
     pytest.importorskip("mcap", reason="reads recordings with deltacharger[record]")
     from builtin_interfaces.msg import Time
     from rclpy.serialization import serialize_message
@@ -153,7 +153,7 @@ def record(path: Path, *images: tuple[str, Array, int], info: bool = True) -> Pa
     from deltacharger_ros import qos
     from deltacharger_vision.ros.messages import camera_info_message
 
-    messages: list[tuple[str, Any, int]] = [("/color/camera_info", camera_info_message(OAK_D, Time()), 0)] * info
+    messages: list[tuple[str, Any, int]] = [("/color/camera_info", camera_info_message(OAK_D, Time()), 0)]
     for topic, pixels, stamp in images:
         encoding, step = "rgb8" if pixels.ndim == 3 else "16UC1", pixels.nbytes // len(pixels)
         message = Image(height=len(pixels), width=pixels.shape[1], encoding=encoding, step=step)
@@ -185,17 +185,3 @@ def test_a_recording_is_matched_by_stamps(tmp_path: Path, capsys: Capture) -> No
         near(results[name], 0.25 + 0.02 * number)
         assert (results[name]["source"], (tmp_path / f"{name}.png").exists()) == ("both", True)
     assert "64" in results["1.099000000"]["error"]
-
-
-def test_topics_and_intrinsics_can_be_given_and_unmatched_images_are_refused(
-    files: Path, tmp_path: Path, capsys: Capture
-) -> None:
-    image, path = view(1), tmp_path / "rec.mcap"
-    record(path, (COLOR, image.color, 1), (DEPTH, millimetres(image), 10**9))
-    refuses(capsys, f"vision detect {path}", "same instant")
-    record(path, ("/oak/rgb", image.color, 5), ("/oak/stereo", millimetres(image), 5), info=False)
-    topics = "--color-topic oak/rgb --depth-topic /oak/stereo"
-    refuses(capsys, f"vision detect {path} {topics}", "camera_info")
-    code, found = detect(capsys, path, *topics.split(), "--camera-info", files / "k.yaml")
-    assert (code, found["results"][0]["source"]) == (0, "both")
-    near(found["results"][0])

@@ -91,7 +91,7 @@ def docking(*after: Raw, until: float = 3.0, current: float = 0.0) -> list[Raw]:
     """Return a docking up to its first measurement, and the following messages."""
     before = [
         state(0.0, State.IDLE),
-        decision(1.0, State.IDLE, "accepted", "electrodes as given", x_m=0.0),
+        decision(1.0, State.IDLE, "accepted", "electrodes as given", x_m=0.0, y_m=0.0, z_m=0.08),
         state(1.0, State.APPROACH),
         state(2.0, State.CONTACT),
         decision(2.5, State.CONTACT, "contact", "the electrodes rest on the target", contact_current_A=0.45),
