@@ -456,11 +456,6 @@ class Context:
         self.feed.start(line, self.time)
         self.goal_angles = line[-1].angles
 
-    def interrupt(self) -> None:
-        """Stop the line under way, if there is one."""
-        if self.feed.is_under_way(self.time):
-            self.hold()
-
     def move(
         self,
         goal: Vector,

@@ -335,7 +335,8 @@ class DockingMachine:
     def _retract(self, why: DockingError) -> Script[None]:
         """Open the contactor, move the arm home and switch the torque off."""
         context, status = self._context, self._context.status
-        context.interrupt()
+        if context.feed.is_under_way(context.time):
+            context.hold()
         try:
             if isinstance(why, codes.Astray):
                 context.hold()

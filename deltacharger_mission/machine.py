@@ -49,12 +49,6 @@ _NEAR = 0.5  # m from the goal within which the navigator's last place is used
 _ANSWER = 2.0  # s beyond its search time in which the detector may answer
 _UNDOCK_PAUSE, _LOOK_PAUSE = 1.0, 0.5  # s between two attempts; between two detections from one place
 _STATE_DELAY = 2.0  # s by which docking_state may arrive after a result
-_REMEDIES = {
-    Task.DRIVE: "no navigator answers navigate_to_pose: activate Nav2, as this user, or set navigation to none",
-    Task.DETECT: "no node serves detect_electrodes: start electrode_detector_node and its camera",
-    Task.DOCK: "no node answers dock: start docking_node as this user",
-    Task.UNDOCK: "no node answers undock: start docking_node as this user",
-}
 
 
 class NotServed(codes.Rejected, retriable=True):
@@ -363,7 +357,8 @@ class MissionMachine:
             if not missing and docking is not None:
                 break
             if self._time > end:
-                raise NotServed(_REMEDIES[missing[0]] if missing else "docking_state is missing: start docking_node")
+                name = missing[0].value if missing else "docking_state"
+                raise NotServed(f"no node serves {name}: start (or activate) it, as this user")
             yield NEXT
         if not docking.free:
             busy = f"the charger is busy ({docking.state.name}) or docked: undock it, then send the goal again"
@@ -457,6 +452,4 @@ def _drive_failure(reply: TaskReply, place: Place) -> DockingError:
         )
     if reply.end is End.LOST:
         return codes.PhaseTimeout("the navigator disappeared while driving; check its log and localize the robot")
-    if reply.end is End.CANCELED:
-        return NavigationFailed(f"another client cancelled the drive to {where}{reason}")
     return NavigationFailed(f"the navigator did not reach {where}{reason}; clear the way or correct the place")

@@ -203,15 +203,6 @@ def test_a_service_that_appears_after_the_call_is_used(node: Node, services: Ser
     assert len(answer.message) < 2 * MESSAGE_MAX
 
 
-@pytest.mark.ros
-def test_a_service_that_never_appears_is_named(services: Services) -> None:
-    services.call(Request(8, Service.PROBE, timeout=0.2))
-    answer = reply(services)
-    assert (answer.number, answer.success) == (8, False)
-    assert answer.message.startswith("no node serves")
-    assert "probe" in answer.message
-
-
 def serve_torque(node: Node) -> list[bool]:
     """Serve set_torque; return what was asked for so far."""
     received = list[bool]()

@@ -132,21 +132,6 @@ def dock(run: VirtualCharger, pitch: float = math.nan) -> DockingOutcome:
     return run.dock(DockGoal(replace(GOAL, pitch=math.radians(pitch), pitch_stddev=stddev)))
 
 
-@pytest.mark.parametrize(("place", "yaw"), [((2.0, -1.0, 2.0), 5.0), rest((-2.0, 1.0, -3.0), -5.0)])
-def test_a_yaw_that_empties_a_pad_ends_with_its_angle_and_a_suggested_base_pose(
-    place: tuple[float, float, float], yaw: float
-) -> None:
-    run = leaning(place, yaw=yaw, compliance=0.01)
-    outcome = dock(run)
-    assert (outcome.code, outcome.retriable) == (Code.LEANING, False)
-    base = outcome.suggested_base
-    assert base is not None
-    assert math.copysign(1.0, base.yaw) == math.copysign(1.0, yaw)
-    assert math.radians(2.0) < abs(base.yaw) < math.radians(6.0)
-    assert run.world.record.energised == 0.0
-    assert_safe_at_home(run)
-
-
 @pytest.mark.parametrize(("pitch", "compliance"), [(2.0, 0.0), rest(-2.0, 0.005)])
 @pytest.mark.parametrize(("camera", "code"), [(False, Code.NO_CHARGE_CURRENT), (True, Code.LEANING)])
 def test_a_pitch_that_lifts_a_bar_is_never_energised_and_reported_if_a_camera_saw_it(

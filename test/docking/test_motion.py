@@ -162,27 +162,6 @@ def test_the_arm_stands_still_once_the_sender_has_been_silent_for_the_horizon(la
     assert left > 0.1, "far from the end, rad"
 
 
-def assert_ends_without_a_jump(rows: np.ndarray, after: float) -> None:
-    """After that time nothing jumps to catch up, and the goal is reached."""
-    steps = np.abs(np.diff(rows[:, 1:4], axis=0)).max(axis=1)
-    assert steps[rows[1:, 0] > after].max() < 1.1 * TICK * peak_speed(LINE)
-    assert rows[-1, 1:4] == pytest.approx(LINE[-1].angles, abs=1e-9)
-
-
-def test_a_paused_line_stops_at_once_and_continues_with_the_rest() -> None:
-    feed, listener = begun(), Listener()
-    since, until = 0.4 * END, 0.4 * END + 0.5
-    rows = drive(feed, listener, END + 0.7, held=lambda now: since <= now < until)
-    time, goal, arm = rows[:, 0], rows[:, 1:4], rows[:, 4:]
-    still = (time > since + 2 * TICK) & (time < until)
-    assert np.ptp(goal[still], axis=0).max() == 0.0
-    assert np.ptp(arm[still], axis=0).max() < 0.25 * LAG * peak_speed(LINE)
-    assert_ends_without_a_jump(rows, until)
-    assert sum(len(piece) == 1 for piece in listener.pieces) == 1, "a hold is sent once"
-    arrival = time[np.abs(goal - LINE[-1].angles).max(axis=1) < 1e-9][0]
-    assert arrival >= END + 0.5, "the time held is not made up for"
-
-
 def test_a_pull_that_is_not_repeated_ends_at_the_arms_place_under_the_weaker_bound() -> None:
     goal, rest = (0.0, 0.0, 0.0), (0.2, 0.2, 0.2)
     trajectory = checked(pull(goal, (4.0,) * 3, rest, (0.9,) * 3))
