@@ -11,7 +11,6 @@ import pytest
 
 from deltacharger_sim.pads import generate_continuous
 from deltacharger_tactile import Estimate, default_model
-from deltacharger_tactile.contact import ContactModel
 from deltacharger_tactile.features import fill_dead
 
 from ..marks import rest
@@ -68,18 +67,6 @@ def test_energises_at_seven_degrees_of_either_sign_and_never_beyond_twelve(wide:
         assert act[side & small].mean() > 0.9
         assert (side & (tilted >= math.radians(12.0))).mean() > 0.15
     assert not act[tilted >= math.radians(12.0)].any()
-
-
-def test_signs_by_the_contact_model_alone() -> None:
-    """Without sensor errors, the estimate must be the pose in contact."""
-    contact = ContactModel()
-    for pose in ((0.0, 0.004, 0.0), (0.0, -0.004, 0.0), (0.0, 0.0, 0.1), (0.0, 0.0, -0.1), (0.002, 0.003, -0.08)):
-        tilt = (math.radians(7.0) * pose[1], math.radians(10.0) * pose[0])
-        pads = contact.solve(pose, 70.0, tilt)[0]
-        estimate = MODEL.predict(pads[0], pads[1])
-        assert estimate.in_range is True
-        assert abs(estimate.vertical - pose[1]) < 0.4e-3
-        assert abs(estimate.angle - pose[2]) < math.radians(0.4)
 
 
 def test_mirrored_frames_give_the_mirrored_pose(wide: Any) -> None:
