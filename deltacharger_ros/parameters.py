@@ -3,11 +3,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import sys
 import threading
 import weakref
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -19,7 +22,7 @@ from rclpy.parameter import Parameter
 from deltacharger_core.files import given_path
 from deltacharger_core.parameters import Declaration, ParameterError, declared, did_you_mean
 from deltacharger_core.servo_types import MeasuredServos, ServosFileParameters
-from deltacharger_core.yaml_file import read_declared
+from deltacharger_core.yaml_file import read_declared, read_yaml
 from deltacharger_ros.log import Log
 from deltacharger_ros.node_support import StartupError
 
@@ -119,16 +122,21 @@ def show_values(node: Node, values: Mapping[str, Any]) -> None:
 def reject_unknown(node: Node) -> None:
     """Refuse given parameters that the node does not have; call it after all are declared.
 
+    Those that a parameter file gives to all nodes may belong to another node: they are ignored, with a warning.
     It also makes later settings accept integers for floats.
 
     Raises:
         StartupError: names the parameter and the nearest known one.
     """
     known = set(node.get_parameters_by_prefix("")) | _OF_EVERY_NODE
-    for name in node._parameter_overrides:
-        if name not in known and not name.startswith("qos_overrides."):
-            near = did_you_mean(name, sorted(known))
-            raise StartupError(f"{node.get_name()}: unknown parameter '{name}'{near}")
+    given = {name for name in node._parameter_overrides if not name.startswith("qos_overrides.")}
+    unknown = given - known
+    ignored = unknown & _of_all_nodes() if unknown else set()
+    for name in sorted(unknown - ignored):
+        raise StartupError(f"{node.get_name()}: unknown parameter '{name}'{did_you_mean(name, sorted(known))}")
+    if ignored:
+        names = ", ".join(sorted(ignored))
+        Log(node).warning(f"unknown parameters of a section for all nodes are ignored: {names}")
 
     this = weakref.ref(node)  # weak: a node that fails to start must be freed
 
@@ -141,6 +149,27 @@ def reject_unknown(node: Node) -> None:
         ]
 
     node.add_pre_set_parameters_callback(changes)
+
+
+def _of_all_nodes() -> set[str]:
+    """Return the parameters that parameter files of the command line give to all nodes.
+
+    A file of launch holds what a launch file gives to one node, although its section is for all.
+    """
+    names: set[str] = set()
+    for option, file in pairwise(sys.argv):
+        if option == "--params-file" and not Path(file).name.startswith("launch_params_"):
+            with contextlib.suppress(OSError, ValueError):  # ROS has read it; this reader is stricter
+                sections = read_yaml(file) or {}
+                names |= {name for each in ("/**", "*") for name in _flat(sections.get(each))}
+    return {name.removeprefix("ros__parameters.") for name in names}
+
+
+def _flat(given: Any, prefix: str = "") -> set[str]:
+    """Return the names of nested parameters, joined by dots."""
+    if not isinstance(given, dict):
+        return {prefix.rstrip(".")}
+    return {name for key, value in given.items() for name in _flat(value, f"{prefix}{key}.")}
 
 
 def _declare(node: Node, each: Declaration, default: Any, description: str) -> Any:

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import sys
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -95,6 +97,36 @@ def test_a_wrong_parameter_stops_the_node_with_its_name(
 
     with pytest.raises(StartupError, match=message):
         Subject()
+
+
+@pytest.mark.parametrize(
+    ("name", "section", "refused"),
+    [
+        ("mine.yaml", "/**", False),
+        ("mine.yaml", "/robot/subject", True),
+        ("launch_params_x", "/**", True),
+    ],
+)
+def test_only_a_section_for_all_nodes_may_name_parameters_of_others(
+    context: Any,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    name: str,
+    section: str,
+    refused: bool,
+) -> None:
+    file = tmp_path / name
+    file.write_text(section + ": {ros__parameters: {map: {frame: earth}}}")
+    arguments = ["--ros-args", "--params-file", str(file)]
+    monkeypatch.setattr(sys, "argv", ["node", *arguments])
+    node = Node("subject", cli_args=arguments, **options(context, "/robot"))
+    try:
+        with pytest.raises(StartupError, match=r"map\.frame") if refused else contextlib.nullcontext():
+            reject_unknown(node)
+    finally:
+        node.destroy_node()
+    assert capfd.readouterr().err.count("ignored: map.frame") == (not refused)
 
 
 @dataclass(frozen=True)

@@ -68,7 +68,8 @@ _PORT = "set per scene"
 _HEAD = """# Parameters
 
 Every parameter of every node, model and campaign, from their declarations. An unknown name or a value outside its
-bounds is refused. A node then stops at start with exit code 2 and names the parameter.
+bounds is refused. A node then stops at start with exit code 2 and names the parameter. An unknown name in a section
+for all nodes (`/**`) of a ROS parameter file is a warning: it may belong to another node.
 
 Node parameters marked * can be set while the node runs ([tuning](bringup.md#tuning)). All others are fixed.
 
