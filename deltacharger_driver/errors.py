@@ -5,6 +5,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+MAYBE_SWAPPED = "whether the cables of servos and board are swapped: 'deltacharger doctor' tells which port is which"
+"""About a port on which the expected device does not answer."""
+
 
 class DriverError(Exception):
     """Root of every error raised by deltacharger_driver."""
@@ -86,12 +89,8 @@ class NoAnswer(DriverError, TimeoutError):
     """
 
     def __init__(self, device: str, action: str, timeout: float) -> None:
-        self.device = device
-        self.action = action
-        self.timeout = timeout
-        super().__init__(
-            f"{device}: no answer to {action} within {timeout * 1e3:.0f} ms; check its supply and its cable"
-        )
+        check = f"check its supply and its cable, and {MAYBE_SWAPPED}"
+        super().__init__(f"{device}: no answer to {action} within {timeout * 1e3:.0f} ms; {check}")
 
 
 class CorruptReply(DriverError, ConnectionError):
@@ -104,9 +103,6 @@ class CorruptReply(DriverError, ConnectionError):
     """
 
     def __init__(self, device: str, action: str, reason: str) -> None:
-        self.device = device
-        self.action = action
-        self.reason = reason
         super().__init__(f"{device}: invalid reply to {action}: {reason}; look for noise, a bad plug or a duplicate id")
 
 
@@ -119,9 +115,8 @@ class HandshakeError(DriverError, ConnectionError):
     """
 
     def __init__(self, port: str, faults: Sequence[str]) -> None:
-        self.port = port
         self.faults = tuple(faults)
-        super().__init__(f"{port}: " + "; ".join(self.faults))
+        super().__init__(f"{port}: " + "; ".join(faults))
 
 
 class ServoFault(DriverError, RuntimeError):
@@ -129,17 +124,12 @@ class ServoFault(DriverError, RuntimeError):
 
     Args:
         servo: id of the servo.
-        action: the request; empty if the servo reports an error on its own.
+        action: the request.
         fault: the error in words.
-        code: error byte of the reply, or the hardware error register.
     """
 
-    def __init__(self, servo: int, action: str, fault: str, code: int = 0) -> None:
-        self.servo = servo
-        self.action = action
-        self.fault = fault
-        self.code = code
-        super().__init__(f"servo {servo}{f': {action}' if action else ''}: {fault}")
+    def __init__(self, servo: int, action: str, fault: str) -> None:
+        super().__init__(f"servo {servo}: {action}: {fault}")
 
 
 class RangeError(DriverError, ValueError):
@@ -155,9 +145,6 @@ class RangeError(DriverError, ValueError):
 
     def __init__(self, name: str, value: float, low: float, high: float, unit: str = "") -> None:
         self.name = name
-        self.value = value
-        self.low = low
-        self.high = high
         super().__init__(f"{name} = {value:g}{unit} is outside {low:g}…{high:g}{unit}")
 
 

@@ -23,7 +23,7 @@ from deltacharger_driver.board.protocol import (
     TactileSample,
 )
 from deltacharger_driver.board.receiver import BoardReceiver, BoardRequest, BoardRequests
-from deltacharger_driver.errors import NoAnswer, PortGone
+from deltacharger_driver.errors import MAYBE_SWAPPED, NoAnswer, PortGone
 from deltacharger_driver.packets import VERSION, DecoderCounters, Packet, PacketDecoder, encode_packet
 from deltacharger_driver.ports import RawPort
 
@@ -113,7 +113,9 @@ def explain_silence(port: str, before: DecoderCounters, now: DecoderCounters, er
         return BoardMismatch(port, f"the board speaks version {now.refused_version}")
     if now.packets == before.packets and now.bytes > before.bytes:
         count = now.bytes - before.bytes
-        return BoardMismatch(port, f"received {count} bytes, but no intact packet: another device, or a bad line")
+        return BoardMismatch(
+            port, f"received {count} bytes, but no intact packet", f"check the line, and {MAYBE_SWAPPED}"
+        )
     return error
 
 

@@ -118,8 +118,6 @@ class PacketError(DriverError, ValueError):
     """
 
     def __init__(self, type: int, reason: str) -> None:
-        self.type = type
-        self.reason = reason
         super().__init__(f"{type_name(type)} packet: {reason}; check that both sides use version {VERSION}")
 
 
@@ -179,7 +177,6 @@ class CommandRefused(DriverError, RuntimeError):
     """
 
     def __init__(self, type: int, error: int, advice: str = "", attempts: int = 1) -> None:
-        self.type = type
         self.error = error
         self.attempts = attempts
         reason = _EXPLANATIONS.get(error, f"error {error}")
@@ -194,7 +191,6 @@ class BoardRebooted(DriverError, ConnectionResetError):
     """
 
     def __init__(self, action: str) -> None:
-        self.action = action
         super().__init__(
             f"the board rebooted during {action}; tare and probe are lost, the contactor is open; repeat the command"
         )
@@ -206,13 +202,12 @@ class BoardMismatch(DriverError, ConnectionError):
     Args:
         port: path of the port.
         reason: what differs.
+        advice: what to do; '' = flash it.
     """
 
-    def __init__(self, port: str, reason: str) -> None:
-        self.port = port
-        self.reason = reason
-        needs = f"this driver needs version {VERSION}.{MINOR} or later and 10 x 10 taxels"
-        super().__init__(f"{port}: {reason}; {needs}: flash the current firmware")
+    def __init__(self, port: str, reason: str, advice: str = "") -> None:
+        needs = f"this driver needs version {VERSION}.{MINOR} or later and 10 x 10 taxels: flash the current firmware"
+        super().__init__(f"{port}: {reason}; {advice or needs}")
 
 
 _LAST_FAULT = max(BoardFault)

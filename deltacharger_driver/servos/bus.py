@@ -14,6 +14,7 @@ from typing import NamedTuple
 from deltacharger_core.machine import TICKS_PER_TURN
 from deltacharger_core.servo_types import MX_64, NAMES, TYPES, ServoType
 from deltacharger_driver.errors import (
+    MAYBE_SWAPPED,
     CorruptReply,
     DriverError,
     HandshakeError,
@@ -104,12 +105,21 @@ def set_up(link: ServoLink, settings: BusSettings, before: ServoType | None = No
         PortGone: the port vanished.
     """
     found = {servo: _identify(link, servo, _PINGS if before else _FIRST_PINGS) for servo in settings.ids}
+    if not any(found.values()):
+        raise HandshakeError(
+            link.port, [f"no servo answers at {link.baud_rate} bit/s: check supply and cable, and {MAYBE_SWAPPED}"]
+        )
     first, wanted = next(((servo, kind) for servo, kind in found.items() if isinstance(kind, ServoType)), (0, before))
     like = "as before: restart servo_node to use others" if before else f"as servo {first}: use servos of one type"
     drive = settings.drive(before or wanted or MX_64)
     faults = []
     for servo, kind in found.items():
-        if isinstance(kind, str):
+        if kind is None:
+            faults.append(
+                f"servo {servo} does not answer at {link.baud_rate} bit/s; check its supply and its cable, then let "
+                "'deltacharger doctor' look for it"
+            )
+        elif isinstance(kind, str):
             faults.append(kind)
         elif kind is not drive.servo:
             faults.append(f"servo {servo} is {kind}, not {drive.servo} {like}")
@@ -120,15 +130,12 @@ def set_up(link: ServoLink, settings: BusSettings, before: ServoType | None = No
     return drive
 
 
-def _identify(link: ServoLink, servo: int, pings: int) -> ServoType | str:
-    """Return the type of a servo, or its fault."""
+def _identify(link: ServoLink, servo: int, pings: int) -> ServoType | str | None:
+    """Return the type of a servo, or its fault; None if it does not answer."""
     try:
         model = link.ping(servo, pings)
     except NoAnswer:
-        return (
-            f"servo {servo} does not answer at {link.baud_rate} bit/s; check its supply and its cable, then let "
-            "'deltacharger doctor' look for it"
-        )
+        return None
     except CorruptReply:
         return f"servo {servo} sends garbled replies; look for two servos with this id, noise or a bad plug"
     if model in TYPES:
@@ -507,7 +514,7 @@ class ServoBus:
                 raise NoAnswer(f"servo {servo.id}", "read before switching torque on", self.settings.reply_margin)
             if bits := servo.hardware_error:
                 text = f"{registers.describe_hardware_error(bits)} latched; remove the cause, then reboot it"
-                raise ServoFault(servo.id, "switch torque on", text, bits)
+                raise ServoFault(servo.id, "switch torque on", text)
             if not servo.is_placed:
                 raise ServoFault(servo.id, "switch torque on", self._misplaced(servo.row[0]))
         try:

@@ -398,7 +398,7 @@ class ServoLink:
                 if attempt and expected:  # a late answer to an earlier attempt; more come. Writes are read back
                     port.drain(port.now() - began)
                 if (code := reply[_ERROR]) & ~ALERT:
-                    raise ServoFault(servo, action, describe_status_error(code), code)
+                    raise ServoFault(servo, action, describe_status_error(code))
                 return bytes(reply[_PARAMETERS : _PARAMETERS + expected])
         device = f"servo {servo}"
         if result == COMM_RX_TIMEOUT:

@@ -76,9 +76,8 @@ def test_a_missing_servo_and_a_hardware_error_forbid_torque(
     emulator.faults.missing = set()
     emulator.servo(3).raise_error(OVERLOAD)
     assert bus.read().hardware_error == (0, 0, OVERLOAD)
-    with pytest.raises(ServoFault, match=r"servo 3.*overload") as caught:
+    with pytest.raises(ServoFault, match=r"servo 3.*overload"):
         bus.enable_torque(BOUND)
-    assert caught.value.code == OVERLOAD
     assert arm.torque_enabled() == [False, False, False]
 
 
@@ -248,10 +247,9 @@ def test_a_servo_that_starts_with_the_computer_is_found_and_one_that_does_not_is
     closed.open()
     assert closed.read().complete
     closed.close()
-    emulator.faults.missing = {2}
-    with pytest.raises(
-        HandshakeError, match=r"servo 2 does not answer at 1000000 bit/s.*deltacharger doctor"
-    ) as caught:
-        closed.open()
-    assert len(caught.value.faults) == 1
-    assert not closed.is_open
+    for missing, words in (({2}, "servo 2 does not answer"), ({1, 2, 3}, "no servo answers.*swapped")):
+        emulator.faults.missing = missing
+        with pytest.raises(HandshakeError, match=f"{words}.*deltacharger doctor") as caught:
+            closed.open()
+        assert len(caught.value.faults) == 1
+        assert not closed.is_open
