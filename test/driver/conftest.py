@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from deltacharger_core.servo_types import MX_64, ServoType
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.ports import PseudoTerminal
 from deltacharger_driver.servos.bus import ServoBus
@@ -28,13 +29,19 @@ def clock() -> Any:
 
 
 @pytest.fixture
-def arm(clock: Any) -> BenchArm:
-    return BenchArm(START, clock=clock)
+def kind() -> ServoType:
+    """Type of the servos."""
+    return MX_64
 
 
 @pytest.fixture
-def emulator(arm: BenchArm) -> ServoBusEmulator:
-    return ServoBusEmulator(arm)
+def arm(clock: Any, kind: ServoType) -> BenchArm:
+    return BenchArm(START, clock, kind.torque_constant)
+
+
+@pytest.fixture
+def emulator(arm: BenchArm, kind: ServoType) -> ServoBusEmulator:
+    return ServoBusEmulator(arm, kind=kind)
 
 
 @pytest.fixture

@@ -26,14 +26,14 @@ DEFAULT = 0.83
 class Rig:
     """A controller, and a contactor that opens `delay` s after a request and records the arm's torque then."""
 
-    def __init__(self, arm: BenchArm, emulator: ServoBusEmulator, line: Any, clock: Any) -> None:
+    def __init__(self, arm: BenchArm, emulator: ServoBusEmulator, line: Any, clock: Any, **settings: Any) -> None:
         self.arm, self.emulator, self.line, self.clock = arm, emulator, line, clock
         self.events: list[tuple[str, str]] = []
         self.requests: list[float] = []
         self.delay = 0.0
         self.torque_when_opened: list[bool] | None = None
         self.controller = ServoController(
-            BusSettings(line.path),
+            BusSettings(line.path, **settings),
             lambda *event: self.events.append(event),
             self,
             line.handler,

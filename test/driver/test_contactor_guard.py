@@ -8,7 +8,6 @@ import math
 import threading
 from collections.abc import Callable
 
-import numpy as np
 import pytest
 
 from deltacharger_core.machine import ChargeLimits
@@ -17,10 +16,7 @@ from deltacharger_driver.board.protocol import (
     BoardFault,
     CommandRefused,
     PacketType,
-    Power,
-    PowerSample,
     ProbeResult,
-    TactileSample,
     decode_probe,
     encode_close,
     encode_limit,
@@ -40,11 +36,13 @@ class Charger:
 
     Attributes:
         commands: to the contactor.
+        currents: limits told while it is closed.
         on_probe, on_keep_alive: called in between.
     """
 
     def __init__(self) -> None:
-        self.bench, self.until, self.commands = Bench(), -math.inf, list[bool]()
+        self.bench, self.until = Bench(), -math.inf
+        self.commands, self.currents = list[bool](), list[float]()
         self.board, self.plant = self.bench.board, self.bench.plant
         self.on_probe: Callable[[], object] = lambda: None
         self.on_keep_alive: Callable[[], object] = lambda: None
@@ -71,8 +69,8 @@ class Charger:
             if self.guard.remaining() <= 0.0:
                 self.guard.tick()
 
-    def close(self, holder: str = "dock", lease: float = LEASE, token: str = "") -> float:
-        return self.guard.close(holder, lease, token, LIMITS)
+    def close(self, holder: str = "dock", lease: float = LEASE, token: str = "", current: float = 10.0) -> float:
+        return self.guard.close(holder, lease, token, LIMITS._replace(current=current))
 
     def charge(self, seconds: float) -> None:
         """Hold the lease as docking_node does."""
@@ -93,6 +91,7 @@ class Charger:
         self._order(b"\0" if limits is None else encode_close(limits))
 
     def limit_current(self, current: float) -> None:
+        self.currents.append(current)
         self._order(encode_limit(current))
 
     def clear_weld(self) -> None:
@@ -310,47 +309,18 @@ def test_a_close_without_an_answer_is_followed_by_an_open(charger: Charger, monk
     assert (charger.guard.remaining(), charger.until) == (math.inf, -math.inf)
 
 
-class Wire:
-    """A link that keeps the orders which it was given, to a board that obeys."""
-
-    def __init__(self) -> None:
-        self.now, self.orders = 0.0, list[object]()
-        self.guard = ContactorGuard(self, clock=lambda: self.now)  # type: ignore[arg-type]
-        self.report(closed=False)
-        self.guard.probe()
-
-    def report(self, closed: bool) -> None:
-        """Report contact and the contactor."""
-        self.guard.observe_tactile(TactileSample(self.now, 0, 0, np.full((2, 10, 10), 2.0, np.float32), True, False))
-        self.guard.observe_power(PowerSample(self.now, Power(26.0, 24.0, 0.0, closed, 0)))
-
-    def close(self, current: float) -> None:
-        self.guard.close("dock", LEASE, limits=LIMITS._replace(current=current))
-
-    def keep_alive(self, until: float) -> None:
-        pass
-
-    def contactor(self, close: bool, limits: ChargeLimits | None = None) -> None:
-        self.orders.append(limits)
-
-    def limit_current(self, current: float) -> None:
-        self.orders.append(current)
-
-    def probe(self) -> ProbeResult:
-        return ProbeResult(math.nan, 24.0, self.now)
-
-
-def test_a_renewal_tells_the_board_only_another_current_and_only_once_closed() -> None:
-    wire = Wire()
-    wire.close(10.0)
-    wire.close(4.0)  # the contactor is still about to close
-    assert wire.orders == [LIMITS]
-    wire.report(closed=True)
+def test_a_renewal_tells_the_board_only_another_current_and_only_once_closed(charger: Charger) -> None:
+    charger.close(current=10.0)
+    charger.close(current=4.0)  # the contactor is still about to close
+    assert charger.currents == []
+    charger.run(0.1)
+    assert charger.is_closed
     for current in (4.0, 4.0, 0.0, 6.0):
-        wire.close(current)
-    assert wire.orders == [LIMITS, 4.0, 6.0]
+        charger.close(current=current)
+    assert charger.currents == [4.0, 6.0]
     with pytest.raises(LeaseRefused, match=r"current is 31: give 0\.05 to 30"):
-        wire.close(31.0)
+        charger.close(current=31.0)
+    assert charger.commands == [True]
 
 
 @pytest.mark.parametrize(

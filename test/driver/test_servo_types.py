@@ -7,11 +7,11 @@ nothing else than its row in deltacharger_core/servo_types.py and its figures he
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Callable, Iterator
-from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from deltacharger_core import machine
@@ -21,55 +21,17 @@ from deltacharger_driver.errors import HandshakeError, RangeError
 from deltacharger_driver.ports import PseudoTerminal
 from deltacharger_driver.servos import registers
 from deltacharger_driver.servos.bus import ServoBus
-from deltacharger_driver.servos.controller import ServoController, ThermalModel, reserve
-from deltacharger_driver.servos.motion import JointLimits, ServoWaypoint, check
-from deltacharger_driver.servos.registers import REGISTERS, TICK, BusSettings, current_to_counts, registers_of
+from deltacharger_driver.servos.controller import ThermalModel, reserve
+from deltacharger_driver.servos.registers import REGISTERS, BusSettings, current_to_counts, registers_of
 
 from ..plants import BenchArm
 from ..quick import PATIENT_MARGIN
-from .servo_rig import NAMES, START
-from .virtual_line import Clock, Line
+from .servo_rig import START, Rig
 
 KINDS = pytest.mark.parametrize("kind", TYPES.values(), ids=lambda kind: kind.name)
 
 
-class Arm(SimpleNamespace):
-    """Emulated servos of one type, and drivers of them."""
-
-    def __init__(self, kind: ServoType, line: Line, clock: Clock, plant: BenchArm, emulator: ServoBusEmulator) -> None:
-        super().__init__(kind=kind, line=line, clock=clock, plant=plant, emulator=emulator)
-
-    def bus(self, **settings: Any) -> ServoBus:
-        return ServoBus(BusSettings(self.line.path, **settings), self.line.handler)
-
-    def controller(self, **settings: Any) -> ServoController:
-        """A controller whose torque is on."""
-        controller = ServoController(BusSettings(self.line.path, **settings), handler=self.line.handler)
-        controller.open()
-        request = controller.request("torque_on")
-        controller.cycle()
-        assert request.success, request.message
-        return controller
-
-
-@pytest.fixture
-def make() -> Iterator[Callable[[ServoType], Arm]]:
-    lines: list[Line] = []
-
-    def of(kind: ServoType) -> Arm:
-        clock = Clock()
-        plant = BenchArm(START, clock, kind.torque_constant)
-        emulator = ServoBusEmulator(plant, kind=kind)
-        lines.append(Line(emulator, clock).start())
-        return Arm(kind, lines[-1], clock, plant, emulator)
-
-    yield of
-    for line in lines:
-        line.stop()
-
-
-def trajectory(*rows: tuple[Any, ...]) -> Any:
-    return check(NAMES, [ServoWaypoint(*row) for row in rows], JointLimits(NAMES, -1.2, 1.3, 4.4))
+XM430 = pytest.mark.parametrize("kind", [XM430_W350], ids=[XM430_W350.name])
 
 
 def test_the_mx_64_has_the_constants_of_the_papers_machine() -> None:
@@ -115,53 +77,50 @@ def test_every_type_is_as_stiff_as_the_others_and_never_hotter_than_its_row_says
 
 
 @KINDS
-def test_currents_have_the_types_unit(make: Callable[[ServoType], Arm], kind: ServoType) -> None:
-    arm = make(kind)
-    bus = arm.bus()
-    bus.open()
+def test_currents_have_the_types_unit(
+    bus: ServoBus, arm: BenchArm, emulator: ServoBusEmulator, clock: Any, kind: ServoType
+) -> None:
     bus.enable_torque((2.0,) * 3)
-    arm.plant.load[:] = [0.3 * kind.torque_constant, -0.9 * kind.torque_constant, 0.0]
-    arm.clock.sleep(1.0)
+    arm.load[:] = [0.3 * kind.torque_constant, -0.9 * kind.torque_constant, 0.0]
+    clock.sleep(1.0)
     snapshot = bus.read()
     assert snapshot.current == pytest.approx((-0.3, 0.9, 0.0), abs=kind.current_unit)
-    counts = [arm.emulator.servo(servo).table.get("present_current") for servo in (1, 2, 3)]
+    counts = [emulator.servo(servo).table.get("present_current") for servo in (1, 2, 3)]
     assert snapshot.current == pytest.approx([count * kind.current_unit for count in counts])
     assert snapshot.voltage == pytest.approx((12.0,) * 3)
 
 
 @KINDS
+@pytest.mark.parametrize("constant", [None, 1.2])
 def test_a_torque_becomes_a_current_by_the_types_constant_unless_one_is_set(
-    make: Callable[[ServoType], Arm], kind: ServoType
+    arm: BenchArm, emulator: ServoBusEmulator, line: Any, clock: Any, kind: ServoType, constant: float | None
 ) -> None:
-    for constant in (None, 1.2):
-        arm = make(kind)
-        controller = arm.controller(torque_constant=constant)
-        assert [command[2] for command in arm.plant.commands] == pytest.approx(
-            [kind.current_bound] * 3, abs=kind.current_unit
-        )
-        controller.submit(trajectory((1.0, START, (1.0, 0.5, 0.0))))
-        controller.cycle()
-        by = constant or kind.torque_constant
-        found = [command[2] for command in arm.plant.commands]
-        assert found == pytest.approx([1.0 / by, 0.5 / by, 0.0], abs=kind.current_unit)
-        controller.close()
+    rig = Rig(arm, emulator, line, clock, torque_constant=constant)
+    rig.controller.open()
+    rig.torque_on()
+    assert rig.bounds() == pytest.approx([kind.current_bound] * 3, abs=kind.current_unit)
+    rig.send((1.0, START, (1.0, 0.5, 0.0)))
+    rig.cycle()
+    by = constant or kind.torque_constant
+    assert rig.bounds() == pytest.approx([1.0 / by, 0.5 / by, 0.0], abs=kind.current_unit)
+    rig.controller.close()
 
 
-def test_a_bound_beyond_the_types_registers_is_refused_at_the_set_up(make: Callable[[ServoType], Arm]) -> None:
-    with pytest.raises(RangeError):
-        make(XM430_W350).bus(current_max=4.0).open()
-    make(MX_64).bus(current_max=4.0).open()
-
-
-def test_a_mixture_is_refused_by_name(make: Callable[[ServoType], Arm]) -> None:
-    arm = make(XM430_W350)
-    arm.emulator.servo(2).table.set("model", 311)
-    bus = arm.bus()
-    with pytest.raises(HandshakeError, match=r"servo 2 is MX-64 \(311\), not XM430-W350 \(1020\) as servo 1") as caught:
+@pytest.mark.parametrize(("kind", "allowed"), [(MX_64, True), (XM430_W350, False)])
+def test_a_bound_beyond_the_types_registers_is_refused_at_the_set_up(line: Any, allowed: bool) -> None:
+    bus = ServoBus(BusSettings(line.path, current_max=4.0), line.handler)
+    with contextlib.nullcontext() if allowed else pytest.raises(RangeError):
         bus.open()
+    bus.close()
+
+
+@XM430
+def test_a_mixture_is_refused_by_name(closed: ServoBus, arm: BenchArm, emulator: ServoBusEmulator) -> None:
+    emulator.servo(2).table.set("model", 311)
+    with pytest.raises(HandshakeError, match=r"servo 2 is MX-64 \(311\), not XM430-W350 \(1020\) as servo 1") as caught:
+        closed.open()
     assert len(caught.value.faults) == 1
-    assert not bus.is_open
-    assert arm.plant.torque_enabled() == [False] * 3
+    assert arm.torque_enabled() == [False] * 3
 
 
 @pytest.mark.ros
@@ -196,31 +155,27 @@ def test_no_two_registers_overlap() -> None:
             taken[place] = name
 
 
-@pytest.mark.parametrize("direction", [1, -1])
-@pytest.mark.parametrize("zero", [0, 2048, -511, 4095])
-def test_every_tick_survives_the_round_trip(direction: int, zero: int) -> None:
-    for ticks in range(-8192, 8193, 37):
+@pytest.mark.parametrize(("zero", "direction"), [(2048, 1), (-511, -1)])
+def test_ticks_survive_the_round_trip(zero: int, direction: int) -> None:
+    for ticks in range(-8192, 8193, 370):
         angle = registers.ticks_to_angle(ticks, zero, direction)
         assert registers.angle_to_ticks(angle, zero, direction) == ticks
 
 
 def test_angle_convention() -> None:
     assert registers.ticks_to_angle(2048, 2048, 1) == 0.0
-    assert registers.ticks_to_angle(3072, 2048, 1) == pytest.approx(math.pi / 2)
     assert registers.ticks_to_angle(3072, 2048, -1) == pytest.approx(-math.pi / 2)
-    assert abs(registers.ticks_to_angle(registers.angle_to_ticks(0.3, 2048, 1), 2048, 1) - 0.3) <= TICK / 2
 
 
-@pytest.mark.parametrize("kind", TYPES.values(), ids=lambda kind: kind.name)
+@KINDS
 def test_a_bound_is_never_rounded_up(kind: ServoType) -> None:
-    for tenth_milliampere in range(0, int(1e4 * kind.largest_current), 7):
-        current = tenth_milliampere * 1e-4
+    for current in np.linspace(0.0, kind.largest_current, 500):
         counts = registers.current_to_counts(current, kind)
         assert current - kind.current_unit < counts * kind.current_unit <= current + 1e-9
         assert registers.current_to_counts(-current, kind) == -counts
 
 
-@pytest.mark.parametrize("current", [0.7, 1.5, 3.0])
+@pytest.mark.parametrize("current", [0.7, 3.0])
 def test_the_model_reaches_the_limit_when_predicted(current: float) -> None:
     model = ThermalModel(MX_64)
     model.update(current, 0.0)

@@ -180,8 +180,8 @@ def test_every_trouble_ends_the_same_on_both_boards(changes: dict[str, Any], sec
         day.settle()
         day.set(**changes)
         day.run(lasts)
-        day.compare()
         day.set(measured={})
+        day.compare()
         for command in ((CONTACTOR, b"\0"), (PROBE, b""), (CONTACTOR, CLOSE), (CONTACTOR, b"\2")):
             day.send(command)
             day.run(0.2)
