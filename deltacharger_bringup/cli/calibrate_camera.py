@@ -203,7 +203,6 @@ def _as_text(judged: _Judged) -> str:
     place, spread = found.mount.pose[:3, 3] / MILLIMETRE, np.sqrt(np.diag(found.mount.covariance))
     turned = " ".join(f"{value:.6f}" for value in quaternion(found.mount.pose[:3, :3]))
     errors = ", ".join(f"{at:.2f} ± {stddev / MILLIMETRE:.2f}" for at, stddev in zip(place, spread[:3], strict=True))
-    judges = f"{len(found.held_out)} images: {held_out_rms(found) / MILLIMETRE:.2f} mm rms at the board"
     rows = [
         ("views", f"{len(kept)} show the board, {np.count_nonzero(kept)} agree"),
         ("position", f"{errors} mm in charger_base"),
@@ -212,7 +211,7 @@ def _as_text(judged: _Judged) -> str:
         ("believed", f"{judged.away[0] / MILLIMETRE:.1f} mm and {math.degrees(judged.away[1]):.2f} ° from there"),
         ("at the dock", f"{_point_stddev(found) / MILLIMETRE:.2f} mm (1 σ), the board's offset included"),
         ("reprojection", f"{math.sqrt(np.mean(np.square(found.reprojection[kept]))):.2f} px rms"),
-        ("held out", judges),
+        ("held out", f"{len(found.held_out)} images: {held_out_rms(found) / MILLIMETRE:.2f} mm rms at the board"),
         ("board size", f"{found.size:.4f} ± {found.size_stddev:.4f} of the stated size, by the platform's moves"),
     ]
     return "\n".join(f"{name:<13} {text}" for name, text in rows)

@@ -111,12 +111,8 @@ def _inject(options: argparse.Namespace, wanted: Fault) -> Result:
         request["amount"] = wanted.amount
     reply = _ask(options, request)
     kind = KINDS[wanted.kind]
-    injected = {
-        "kind": wanted.kind,
-        "servo": wanted.whom or None,
-        "amount": wanted.how_much if kind.amount else None,
-        "for_s": wanted.last or None,
-    }
+    injected: dict[str, Any] = {"kind": wanted.kind, "servo": wanted.whom or None, "for_s": wanted.last or None}
+    injected["amount"] = wanted.how_much if kind.amount else None
     until = f", for {wanted.last:g} s" if wanted.last else ", until --clear"
     text = f"{_named(injected)}: {kind.text}{until if kind.lasts else ''}"
     return Result(text, {**injected, "active": reply["active"]})

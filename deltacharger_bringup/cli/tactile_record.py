@@ -153,11 +153,10 @@ class _Recording:
     def result(self) -> Result:
         """Return the size of the data set."""
         journal = self._journal
-        rows = 0 if journal.data is None else len(journal.data)
         kind = "simulated " if journal.data is not None and journal.data.simulated else ""
-        lines = [f"{journal.out}: {rows} rows of {journal.dockings} {kind}dockings"]
+        lines = [f"{journal.out}: {journal.dockings} {kind}dockings"]
         lines += [f"  {name:<12} {done} of {total}" for name, (done, total) in journal.parts().items()]
-        return Result("\n".join(lines), {**self.summary(), "n": rows})
+        return Result("\n".join(lines), self.summary())
 
     def record(self, options: argparse.Namespace) -> None:
         """Connect to the charger and make the missing dockings.
