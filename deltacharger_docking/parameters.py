@@ -80,7 +80,7 @@ class DockingParameters(Bounded):
     hold_max: float = tunable(14400.0, 1.0, 604800.0, "s", "longest rest on a target since the last goal")
     age_max: float = number(0.5, 0.1, 2.0, "s", "age of servo_state, tactile_frame or charger_power that ends docking")
     live_servo_age_max: float = number(LONGEST_LEASE, 0.02, 0.5, "s", "age of servo_state that opens the contactor")
-    goal_timeout: float = tunable(300.0, 12.0, 3600.0, "s", "limit for a docking until it succeeds")
+    goal_timeout: float = tunable(300.0, 12.0, 600.0, "s", "limit for a docking until it succeeds")
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -36,7 +36,7 @@ from deltacharger_mission.places import BaseMount, Place, views
 WAIT_TIMEOUT = 10.0  # s until all needed nodes answer
 SEARCH_TIMEOUT = 180.0  # s for one search
 LOOK_TIMEOUT = 3.0  # s for one detection
-DOCK_TIMEOUT = 3660.0  # s until docking rests on the target: longer than its own goal_timeout may be
+DOCK_TIMEOUT = 660.0  # s until docking rests on the target: longer than its own goal_timeout may be
 UNDOCK_TIMEOUT = 60.0  # s for one attempt
 CANCEL_TIMEOUT = 30.0  # s for cancelled requests to end
 UNDOCK_ATTEMPTS = 2  # a failure strands the robot: it must not be driven before

@@ -186,7 +186,7 @@ ENDS: list[tuple[dict[Task, Answer], Code, bool, bool, list[Stage], str]] = [
     ({Task.DRIVE: in_turn(drive, BLOCKED, drive)}, Code.UNREACHABLE, True, True, [Stage.RETURN], "blocked"),
     ({Task.DRIVE: not_home}, Code.UNREACHABLE, False, False, WAY_HOME, "charged"),
     ({Task.DETECT: silent}, Code.ELECTRODES_NOT_FOUND, True, True, [Stage.RETURN], "detect_electrodes"),
-    ({Task.DOCK: silent}, Code.TIMEOUT, True, True, WAY_HOME, "3660 s"),
+    ({Task.DOCK: silent}, Code.TIMEOUT, True, True, WAY_HOME, "660 s"),
     ({Task.DOCK: FOR_EVER}, Code.TIMEOUT, True, True, WAY_HOME, "300 s"),
     ({Task.UNDOCK: fails(Code.STUCK, True)}, Code.STUCK, False, False, [Stage.UNDOCK], "stays"),
     ({Task.UNDOCK: fails(Code.CONTACTOR_WELDED)}, Code.CONTACTOR_WELDED, False, False, [Stage.UNDOCK], "stays"),
