@@ -20,25 +20,21 @@ import numpy as np
 import pytest
 
 from deltacharger_core import real_time
-from deltacharger_core.machine import ChargeLimits, Port
-from deltacharger_core.parameters import ParameterError, declared
+from deltacharger_core.machine import ChargeLimits
+from deltacharger_core.parameters import ParameterError
 from deltacharger_core.script import NEXT
 from deltacharger_core.servo_types import MX_64, XM430_W350, MeasuredServos, ServoType
 from deltacharger_docking import (
     algorithm,
     charging,
-    clearance,
     codes,
     contact,
     context,
     energy,
     goals,
     machine,
-    parameters,
     place,
-    press,
     release,
-    standoff,
     touch,
     watch,
 )
@@ -46,22 +42,14 @@ from deltacharger_docking.clearance import MisalignmentEstimate, Verdict, cleara
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.observation import DockGoal, ElectrodePose, Observation, Reply
 from deltacharger_docking.parameters import DockingParameters, TargetProfile
-from deltacharger_docking.ros.inputs import FrameCheck
 from deltacharger_driver.board import contactor, protocol
-from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.power import EmulatedPower, PowerStage, StageParameters, StageReading
 from deltacharger_driver.errors import DriverError
-from deltacharger_driver.packets import PacketDecoder
 from deltacharger_driver.parameters import ServoNodeParameters, TactileNodeParameters
 from deltacharger_driver.servos import controller, motion, registers
-from deltacharger_driver.servos.motion import ServoGoals
 from deltacharger_kinematics.geometry import DeltaGeometry
-from deltacharger_kinematics.line import PEAK_SPEED
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_kinematics.swing import Swung, surely_swings
-from deltacharger_mission.machine import MissionMachine
-from deltacharger_mission.parameters import MissionParameters
-from deltacharger_mission.places import BaseMount, Place
 from deltacharger_tactile import estimator, perception
 from deltacharger_vision.detector.judgement import supported
 from deltacharger_vision.errors import VisionError
@@ -196,10 +184,6 @@ def touches_live(**changes: Any) -> bool:
     return watched(shared, replace(pressing(), **changes))
 
 
-def has_battery(**changes: Any) -> bool:
-    return passes(energy.check_battery, scene(**changes))
-
-
 def keeps_port(volts: float, samples: int = 2, before: float = 24.0) -> bool:
     """Return whether docking goes on if a live port in contact falls from one voltage to another."""
     shared = scene(target_voltage=before)
@@ -240,16 +224,6 @@ def parts(retreat: float, touches: bool = False) -> bool:
     return next(pull, None) is None
 
 
-def leaves(magnet_force: float) -> bool:
-    return passes(
-        standoff._check_pull, context.Context(DockingParameters(magnet_force=magnet_force), DeltaGeometry()), DOCK
-    )
-
-
-def brakes(damping: float) -> bool:
-    return not surely_swings(Swung(15.0, damping, 0.0, 0.0))
-
-
 def moves_on(state: State = State.CONTACT, **changes: Any) -> bool:
     shared = scene(**changes)
     shared.enter(state, INF)
@@ -273,9 +247,6 @@ OBSERVATION = (
     *fields(may_close, 5.1, (4.9, NAN, -INF), "thermal_reserve"),
     *fields(may_close, True, (False,), "torque_enabled", "tactile_contact"),
     *fields(may_close, "", ("a second tactile_node",), "duplicate_sources"),
-    *fields(has_battery, 23.71, (23.69, 29.81, NAN), "battery_voltage"),
-    *fields(has_battery, 29.79, (29.81, INF, -INF), "battery_voltage"),
-    *fields(has_battery, 29.49, (29.51, 29.09), "stage_voltage"),
     Limit("port in contact, V", keeps_port, 8.1, 7.9, (2.1, 0.0, -24.0)),  # a third of 24 V
     Limit("port in contact before, V", lambda v: keeps_port(0.0, before=v), 9.4, 9.6, ()),
     Limit("charger_power of a collapse", lambda v: keeps_port(0.0, v), 1, 2, ()),
@@ -309,11 +280,8 @@ OBSERVATION = (
     Limit("hard contact, A", lambda v: continues(seen=pressing(v)), 0.99, 1.01, ()),
     Limit("lead, mm", lambda v: continues(State.CONTACT, lead=v * MM), 2.9, 3.1, ()),
     Limit("retreat that parts, mm", lambda v: parts(v * MM), 4.1, 3.9, ()),
+    Limit("damping, N·m·s/rad", lambda v: not surely_swings(Swung(15.0, v, 0.0, 0.0)), 0.151, 0.149, (0.0, -0.1)),
     Limit("pads when parting", lambda v: parts(0.005, v), False, True, ()),
-    # 4 A pull with 153 N, of which gears leave 70 %; 1.3 times the magnets.
-    *fields(leaves, 82.4, (82.8,), "magnet_force"),
-    *fields(brakes, 0.151, (0.149, 0.0, -0.1), "damping"),
-    Limit("first data, s", lambda v: continues(State.APPROACH, time=v, servo_age=INF, tactile_age=INF), 2.9, 3.1, ()),
     *fields(moves_on, 0.09, (0.11, INF, NAN), "servo_age", "tactile_age"),
 )
 
@@ -346,76 +314,6 @@ def energises(profile: str = "seven", **probe: Any) -> bool:
     shared = scene(profile)
     found = {"resistance": NAN, "target_voltage": 24.0} | probe
     return passes(lambda: answered(energy.energise(shared), shared, **found)) and shared.energise
-
-
-def steps_down_to(volts: float) -> bool:
-    """Return whether a stage that only steps down, from 26 V, may charge a target of this voltage."""
-    found = Reply(1, True, resistance=NAN, target_voltage=volts)
-    shared = scene(stage_steps_up=False)
-    return passes(energy._check_probe, shared, PROFILES["seven"], Port.LIVE, found)
-
-
-def flows(current: float, seconds: float = 1.05, gap: float = 0.0) -> bool:
-    """Return whether docking reports charging after this current has flowed for so long, with a gap (s) in it."""
-    shared = scene()
-    script = energy.energise(shared)
-    answered(script, shared, resistance=NAN, target_voltage=24.0)
-    for at in np.arange(0.0, seconds, 0.05):
-        now = {"time": 0.02 + at, "contactor_closed": True, "charge_current": 0.0 if 0.5 <= at < 0.5 + gap else current}
-        shared.observe(replace(pressing(), **now))
-        if next(script, "charging") == "charging":
-            return True
-    return False
-
-
-def waits(seconds: float) -> bool:
-    """Return whether docking still waits for current so long after the contactor closed."""
-    shared = scene()
-    script = energy.energise(shared)
-    answered(script, shared, resistance=NAN, target_voltage=24.0)
-
-    def wait() -> None:
-        for at in np.arange(0.0, seconds, 0.05):
-            shared.observe(replace(pressing(), time=0.02 + at, contactor_closed=True))
-            next(script)
-
-    return passes(wait)
-
-
-class Battery(NamedTuple):
-    """What charger_power shows of a target: A, V, least A."""
-
-    current: float
-    volts: float
-    least: float = NAN
-
-
-def ends_as(battery: Battery, seconds: float, before: float = 24.0, period: float = 0.05) -> str:
-    """Return how charging ends within so many seconds at this current and voltage; '' = it goes on."""
-    shared = scene(contactor_closed=True)
-    shared.closing, shared.limits = context.Live(0.0, 24.0), ChargeLimits(10.0, 29.4)
-    charged = charging.Charged(shared, PROFILES["seven"])
-    for number, at in enumerate(np.arange(0.0, 2.0 + seconds, period)):
-        now = Battery(5.0, before) if number < 2.0 / period else battery
-        power = {"charge_current": now.current, "target_voltage": now.volts}
-        least = now.current if math.isnan(now.least) else now.least
-        shared.observe(replace(pressing(), time=at, contactor_closed=True, least_current=least, **power))
-        try:
-            if why := charged.judge():
-                return why
-        except codes.NoChargeCurrent as error:
-            return str(error)
-    return ""
-
-
-def limits(rise: float) -> float:
-    """Return the current (A) that docking allows into a loop whose resistance rose by so much (Ω)."""
-    shared = scene()
-    shared.limits = ChargeLimits(10.0, 29.4)
-    charged = charging.Charged(shared, PROFILES["seven"])
-    charged.rise = rise
-    charged._allow(rise)
-    return shared.limits.current
 
 
 def opens(age: float, seconds: float = 0.5, **changes: Any) -> bool:
@@ -478,19 +376,7 @@ def looks(**changes: Any) -> bool:
     return answered(script, shared, estimate=estimate(**changes)) is None
 
 
-def gives_up_as(angle: float) -> Code:
-    """Return why docking ends after unsure estimates of this angle (°)."""
-    target = touch.Target(scene(), 12.0 * DEGREE)
-    try:
-        while not target.allows_rest(estimate(angle=angle * DEGREE, sure=False), False):
-            target.correction()
-    except codes.DockingError as error:
-        return error.code
-    return Code.NONE
-
-
 TILTED = estimate(angle=11.8 * DEGREE)
-CUT = "cut by the target"
 ANSWERS = (
     *fields(energises, NAN, (INF, -INF, 2000.0, 0.0), "resistance"),
     *fields(energises, 19.1, (18.9, 0.0, -24.0, NAN, -INF), "target_voltage"),
@@ -498,21 +384,6 @@ ANSWERS = (
     Limit("dead port, Ω", lambda v: energises("late", resistance=v, target_voltage=0.0), 1.01, 0.99, (0.0, NAN)),
     Limit("open port", lambda v: energises(v, resistance=INF, target_voltage=0.0), "late", "seven", ()),
     Limit("dead port that is live, V", lambda v: energises("late", target_voltage=v), 19.1, 18.9, (29.5, -24.0)),
-    Limit("step down, V", steps_down_to, 25.49, 25.51, (INF,)),
-    Limit("gap while it starts, s", lambda v: flows(5.0, 1.05, v), 0.2, 0.3, ()),
-    Limit("current after closing, s", waits, 3.0, 3.2, ()),
-    Limit("cut at full voltage, V", lambda v: ends_as(Battery(0.0, 24.0), 0.4, before=v) == CUT, 29.11, 29.09, ()),
-    Limit("gap, s", lambda v: not ends_as(Battery(0.0, 24.0), v), 0.2, 0.3, ()),
-    Limit("no current, A", lambda v: not ends_as(Battery(v, 24.0), 0.4), 0.051, 0.049, ()),
-    Limit("little current, A", lambda v: ends_as(Battery(v, 29.3), 31.0) == "current below 0.5 A", 0.49, 0.51, ()),
-    Limit("little current, s", lambda v: ends_as(Battery(0.4, 29.3), v) == "", 29.9, 30.3, ()),
-    Limit("little current at, V", lambda v: ends_as(Battery(0.4, v), 31.0) == "current below 0.5 A", 29.11, 29.09, ()),
-    Limit("pulses at full voltage, s", lambda v: ends_as(Battery(5.0, 29.3, 0.0), v, 29.3) == "", 29.9, 30.3, ()),
-    Limit("steady load, s", lambda v: ends_as(Battery(2.0, 29.3), v, period=0.5) == "", 590.0, 620.0, ()),
-    Limit("heat of dirt, Ω", lambda v: limits(v) >= 5.0, 0.39, 0.41, ()),  # 25 A² · 0.4 Ω = 10 W
-    Limit("dirt, Ω", lambda v: passes(limits, v), 9.9, 10.1, ()),
-    Limit("charge current, A", flows, 0.51, 0.49, ()),
-    Limit("stable current, s", lambda v: flows(5.0, v), 1.05, 0.95, ()),
     Limit("report after opening, s", lambda v: opens(v), 0.3, 0.5),
     Limit("current after opening, A", lambda v: opens(0.0, charge_current=v), 0.49, 0.51, (-0.51, INF)),
     Limit("contactor after opening", lambda v: opens(0.0, contactor_closed=v), False, True, ()),
@@ -525,13 +396,11 @@ ANSWERS = (
     Limit("yaw, °", lambda v: leans(1.0, yaw=v), 6.9, 7.1, (-7.1, INF)),
     Limit("pitch, °", lambda v: leans(1.0, pitch=v), 6.9, 7.1, (-7.1, INF)),
     *fields(serves, 0.209, (0.210, -0.01, NAN, INF), "critical_angle"),
-    *fields(serves, 0.0, (-0.1, NAN, INF), "stop_energy", "stop_after"),
     Limit("blind checks", lambda v: charges_on(*[None] * v), 2, 3, ()),
     Limit("checks without clearance", lambda v: charges_on(*[TILTED] * v), 1, 2, ()),
     *fields(blinds, 0.001, (NAN, INF), *POSES),
     *fields(blinds, True, (False,), "contact", "sure", "in_range"),
     Limit("unsure first touch, °", lambda v: looks(sure=False, angle=v * DEGREE), 11.9, 12.1, (-12.1,)),
-    Limit("unsure contacts, °", lambda v: gives_up_as(v) is Code.ESTIMATE_UNSURE, 11.9, 12.1, (-12.1,)),
 )
 
 
@@ -544,34 +413,37 @@ def leases(duration: float, after: float = 0.0) -> bool:
     return passes(lambda: lease.take("docking", duration, 0.0, limits=LIMITS)) and lease.is_live(after)
 
 
-def guards(newton: float = 1.0, fault: int = 0, power_age: float = 0.0, frame_age: float = 0.0, **probe: float) -> bool:
-    """Return whether the guard closes the contactor."""
-    link = SimpleNamespace(keep_alive=lambda until: None, stop_heartbeat=lambda: None)
-    link.contactor = lambda close, limits: None
-    link.probe = lambda: protocol.ProbeResult(**{"resistance": NAN, "target_voltage": 24.0, "time": 10.0} | probe)
-    guard = contactor.ContactorGuard(link, clock=lambda: 10.0)  # type: ignore[arg-type]
-    guard.probe()
+def guard(newton: float = 1.0, fault: int = 0, power_age: float = 0.0, frame_age: float = 0.0, **probe: float) -> Any:
+    """Return a guard after a probe, and the times of its clock."""
+    link, now = Mock(), [10.0]
+    link.probe.return_value = protocol.ProbeResult(**{"resistance": NAN, "target_voltage": 24.0, "time": 10.0} | probe)
+    made = contactor.ContactorGuard(link, clock=lambda: now[0])
+    made.probe()
+    made.observe_power(protocol.PowerSample(10.0 - power_age, protocol.Power(26.0, 24.0, 0.0, False, fault)))
+    feel(made, 10.0 - frame_age, newton)
+    return made, now
+
+
+def feel(guard: contactor.ContactorGuard, time: float, newton: float) -> None:
     pads = np.full((2, 10, 10), NAN, np.float32)
     pads[1, 4, 4] = newton
-    guard.observe_tactile(protocol.TactileSample(10.0 - frame_age, 1, 0, pads, True, False))
-    guard.observe_power(protocol.PowerSample(10.0 - power_age, protocol.Power(26.0, 24.0, 0.0, False, fault)))
-    return passes(guard.close, "docking", 0.25, "", LIMITS)
+    guard.observe_tactile(protocol.TactileSample(time, 1, 0, pads, True, False))
+
+
+def guards(**given: Any) -> bool:
+    """Return whether the guard closes the contactor."""
+    return passes(guard(**given)[0].close, "docking", 0.25, "", LIMITS)
 
 
 def renews(newest: float, touched: float) -> bool:
     """Return whether the guard renews a lease with a newest frame and a last contact of these ages (s)."""
-    link, now = Mock(), 10.0
-    link.probe.return_value = protocol.ProbeResult(NAN, 24.0, 10.0)
-    guard = contactor.ContactorGuard(link, clock=lambda: now)
-    guard.probe()
-    guard.observe_power(protocol.PowerSample(10.0, protocol.Power(26.0, 24.0, 0.0, False, 0)))
-    guard.observe_tactile(protocol.TactileSample(10.0, 0, 0, np.full((2, 10, 10), 2.0), True, False))
-    guard.close("docking", 0.25, "", LIMITS)
-    now = 10.2
-    guard._frames.clear()
+    made, now = guard()
+    made.close("docking", 0.25, "", LIMITS)
+    now[0] = 10.2
+    made._frames.clear()
     for age, newton in ((touched, 2.0), (newest, 2.0 if newest == touched else 0.0)):
-        guard.observe_tactile(protocol.TactileSample(now - age, 1, 0, np.full((2, 10, 10), newton), True, False))
-    return passes(guard.close, "docking", 0.25)
+        feel(made, 10.2 - age, newton)
+    return passes(made.close, "docking", 0.25)
 
 
 def stage(resistance: float = NAN, voltage: float = 24.0, closed: bool = False, fault: int = 0) -> Any:
@@ -611,16 +483,6 @@ def keeps(seconds: float = 5.1, **reading: Any) -> bool:
     return True
 
 
-def drives(low: float = 0.0, high: float = INF, stage: StageParameters | None = None, **reading: Any) -> bool:
-    """Return whether the board's limit of the current ends between two values, A."""
-    sent: list[Any] = []
-    watch, power = PowerStage(sent.append, stage or StageParameters()), StageReading(26.0, 24.0, 24.0, 5.0, True)
-    watch.close(LIMITS._replace(current=18.0), 0.0)
-    for at in np.arange(0.0, 1.0, 0.001):
-        watch.step(power._replace(**reading), at)
-    return bool(low <= sent[-1].current <= high)
-
-
 def clears_weld(**reading: Any) -> bool:
     return not protocol.weld_problem(protocol.Power(26.0, NAN, 0.0, False, 7)._replace(**reading))
 
@@ -628,19 +490,6 @@ def clears_weld(**reading: Any) -> bool:
 def finds_open(current: float = 0.0, closed: bool = False, after: float = 0.051) -> bool:
     watch = PowerStage(lambda outputs: None, StageParameters())
     return not watch.step(StageReading(26.0, 24.0, 0.0, current, closed), after)
-
-
-def test_the_emulated_board_dates_its_packets_by_an_exact_clock() -> None:
-    emulator, decoder = BoardEmulator(stage()), PacketDecoder()
-    packets = [packet for now in (5.0, 6.0) for packet in decoder.feed(emulator.poll(now))]
-    assert [packet.device_time_us for packet in packets] == [0, 1_000_000]
-
-
-def test_the_board_reports_where_its_contactor_went_after_a_fault() -> None:
-    power = board()
-    power._plant = stage(fault=9)
-    power.poll(10.01)
-    assert power.report()[3:5] == (False, 9)
 
 
 def test_faults_have_the_numbers_of_the_wire_and_the_codes_of_docking() -> None:
@@ -651,20 +500,8 @@ def test_faults_have_the_numbers_of_the_wire_and_the_codes_of_docking() -> None:
 
 
 def reads_power(**changes: float) -> bool:
-    values = {
-        "battery": 26.0,
-        "target": 24.0,
-        "current": 1.0,
-        "closed": 0,
-        "fault": 0,
-        "zero": 0,
-        "least": 1.0,
-    } | changes
-    return passes(protocol.decode_power, struct.pack("<fffBBHf", *values.values()))
-
-
-def reads_limits(**changes: float) -> bool:
-    return passes(protocol.decode_close, protocol.encode_close(LIMITS._replace(**changes)))
+    values = {"battery": 26.0, "target": 24.0, "current": 1.0, "closed": 0, "fault": 0, "zero": 0, "least": 1.0}
+    return passes(protocol.decode_power, struct.pack("<fffBBHf", *(values | changes).values()))
 
 
 BOARD = (
@@ -684,7 +521,6 @@ BOARD = (
     *fields(board_closes, NAN, (0.99, 1.01, INF), "resistance"),
     *fields(board_closes, 1.0, (0.99, -24.0, NAN), "voltage"),
     *fields(board_closes, False, (True,), "closed"),
-    *fields(board_holds, 0.094, (0.096, INF), "silence"),
     Limit("power stage, s", lambda v: board_holds(v, fault=9), 0.009, 0.011, ()),
     *fields(keeps, 19.9, (20.1, -5.1, -0.51, 0.04, NAN), "current"),
     *fields(keeps, 10.1, (9.9, 1.9, -1.1, NAN), "target"),
@@ -692,19 +528,9 @@ BOARD = (
     *fields(keeps, 22.71, (22.69, NAN), "battery"),
     *fields(keeps, 29.79, (29.81,), "battery"),
     Limit("bounce, s", lambda v: keeps(v, closed=False), 0.019, 0.022, ()),
-    Limit("gap, s", lambda v: keeps(v, current=0.04), 0.199, 0.205, ()),
     Limit("unknown current, s", lambda v: keeps(v, current=NAN), 0.099, 0.103, ()),
-    Limit("current back, s", lambda v: keeps(v, current=-0.6), 0.099, 0.103, ()),
     Limit("wrong target, s", lambda v: keeps(v, target=9.9), 0.099, 0.103, ()),
-    Limit("high battery, s", lambda v: keeps(v, battery=29.9), 0.099, 0.103, ()),
     Limit("low battery, s", lambda v: keeps(v, battery=22.6), 4.999, 5.003, ()),
-    Limit("current through the fuse, A", lambda v: drives(high=v), 18.0, 17.9, ()),
-    Limit("less through a small fuse", lambda v: drives(9.7, 9.8, StageParameters(input_fuse=v)), 10.0, 10.1, ()),
-    Limit("limit in a gap, A", lambda v: drives(high=v, current=0.0), 1.0, 0.9, ()),
-    *fields(reads_limits, 0.051, (0.049, 30.1, NAN, INF), "current"),
-    *fields(reads_limits, 1.01, (0.99, 60.1, NAN, INF), "voltage"),
-    *fields(reads_limits, 0.11, (0.09, 70.1, NAN, INF), "start_time"),
-    *fields(reads_limits, 0.06, (0.04, 130.1, NAN, INF), "gap_time"),
     *fields(finds_open, 0.49, (0.51, -0.51), "current"),
     *fields(finds_open, False, (True,), "closed"),
     Limit("contacts open, s", lambda v: finds_open(closed=True, after=v), 0.049, 0.051, ()),
@@ -777,19 +603,9 @@ SERVOS = (
     Limit("time at 3 A, s", lambda v: heated(25.0) > v, 119.9, 120.1),
     Limit("time at 3 A from below 25 °C, s", lambda v: heated(-10.0) > v, 119.9, 120.1),
     Limit("hottest, °C", lambda v: heated(v) > 0.0, 79.9, 80.1, (INF,)),
-    Limit("current for ever, A", lambda v: heated(25.0, v) == INF, 0.51, 0.52),
-    Limit("XM430: bound, A", lambda v: passes(registers.current_to_counts, v, XM430_W350), 3.2, 3.22, (NAN, INF)),
     Limit("XM430: time at 1.8 A, s", lambda v: heated(25.0, 1.8, XM430_W350) > v, 119.9, 120.1),
-    Limit("XM430: current for ever, A", lambda v: heated(25.0, v, XM430_W350) == INF, 0.3, 0.31),
+    Limit("current for ever, A", lambda v: heated(25.0, v) == INF, 0.51, 0.52),
 )
-
-
-def test_a_goal_moves_from_the_start_of_its_trajectory() -> None:
-    servo = ServoGoals(1, 0.83, 1.46)
-    servo.begin_at((0.0,))
-    servo.follow(motion.Trajectory((1.0,), ((1.0,),), (None,)), 10.0, 10.0)
-    servo.advance(10.5)
-    assert servo.angles == (0.5,)
 
 
 # The pads.
@@ -800,24 +616,9 @@ def averages(age: float = 0.0, tared: bool = True) -> bool:
     return passes(perception.FrameWindow(lambda: 10.0).average, [frame], 0.1)
 
 
-FRAMES = range(10, 20)
-
-
-def confirms(named: Any = FRAMES, received: Any = FRAMES, sampled: float = 5.0, before: Any = ()) -> bool:
-    """Return whether docking, which received these frames, believes an estimate of the named ones asked for at 5 s."""
-    check = FrameCheck()
-    for sequence in (*before, *received):
-        check.add(sequence, 4.0 if sequence in before else sampled)
-    return check.checked(Reply(1, True, estimate=estimate(), sequences=tuple(named), asked=5.0)).success
-
-
 PADS = (
     *fields(averages, 0.09, (0.11, -0.11, INF, NAN), "age"),
     *fields(averages, True, (False,), "tared"),
-    Limit("frames received", lambda v: confirms(received=range(10, 10 + v)), 5, 4, (0,)),
-    *fields(confirms, 4.91, (4.89, -INF, NAN), "sampled"),
-    *fields(confirms, (10, 11), ((), (11, 10), (10, 10)), "named"),
-    Limit("frame before the request", lambda v: confirms(range(9, 19), before=v), (), (9,), ()),
 )
 
 
@@ -843,13 +644,6 @@ CAMERA = (
     *fields(mounts, 9.99, (10.01, -10.01, NAN, INF), "x"),
     *fields(mounts, 1.0009, (1.0011, 0.9989, NAN, INF), "w"),
 )
-
-
-def test_a_target_of_unknown_pitch_has_a_known_place() -> None:
-    mission = MissionMachine(MissionParameters(), BaseMount((0.0, 0.0, 0.0, 0.5, 0.5, 0.5, 0.5)), None)
-    mission.status.place = Place(0.0, 0.0, 0.0)
-    seen = ElectrodePose(DOCK, 0.0, yaw=0.1, yaw_stddev=0.01)
-    assert mission._placed(seen, Place(1.0, 0.0, 0.0)) == Place(0.08, 0.0, pytest.approx(0.1 - math.pi))
 
 
 # What users may set.
@@ -881,46 +675,9 @@ def test_limit(row: Limit) -> None:
     assert not [value for value in (row.outside, *row.refused) if row.accepts(value)]
 
 
-# What nobody may set.
-
-CONSTANTS: dict[str, tuple[float, float]] = {
-    "contacts that must pass": (touch._CLEARANCE_CONTACTS, 2),
-    "σ of a lean": (clearance.LEAN_SIGMAS, 2.0),
-    "σ of a roll": (algorithm._ROLL_SIGMAS, 2.0),
-    "period of checks, s": (charging.CLEARANCE_PERIOD, 2.0),
-    "frames of a check": (charging._CLEARANCE_FRAMES, 12),
-    "report of a fault, s": (watch._FAULT_DELAY, 0.15),
-    "delay of an opening, s": (energy._OPENING_TIME, 0.1),
-    "opening, s": (energy.OPEN_TIMEOUT, 1.0),
-    "second sources, s": (energy._DUPLICATE_SOURCE_TIMEOUT, 25.0),
-    "push above the band, A": (parameters._PUSH_ABOVE, 0.2),
-    "step above the band, A": (press._STEP_ABOVE, 0.1),
-    "pull, s": (release._RELEASE_TIME, 1.0),
-    "lift before a move sideways, m": (release.LIFT, 0.008),
-}
-
-
-@pytest.mark.parametrize("what", CONSTANTS)
-def test_constant(what: str) -> None:
-    value, literal = CONSTANTS[what]
-    assert value == literal
-
-
-def test_the_numbers_of_docking_fit_each_other() -> None:
-    """What were contradictions between parameters, before these became constants."""
-    lowest = DockingParameters(current_min=0.15, current_max=0.19)
-    assert release.FREE_CURRENT < contact.CONTACT_LOST_CURRENT <= lowest.current_min
-    assert lowest.current_max + press._STEP_ABOVE < lowest.push_current
-    assert clearance.CLEARANCE_SIGMAS < clearance.CLEARANCE_SIGMAS_SURE
-    assert energy._OPENING_TIME + 0.2 < energy.OPEN_TIMEOUT  # s until charger_power shows it at the latest
-    slowest = {each.name: each.low for each in declared(DockingParameters) if each.name.endswith("_speed")}
-    assert PEAK_SPEED * 0.11 / slowest["travel_speed"] < min(press.ALIGN_TIMEOUT, release.RETRACT_TIMEOUT)
-    assert PEAK_SPEED * 0.11 / standoff._APPROACH_SPEED < standoff.APPROACH_TIMEOUT
-    assert PEAK_SPEED * (press._SEARCH_FROM + 0.05) / slowest["search_speed"] < press.CONTACT_TIMEOUT
-    assert PEAK_SPEED * press._NEAR / slowest["press_speed"] < press.CONTACT_TIMEOUT
-
-
 def test_numbers_that_need_more_than_a_row() -> None:
     assert estimator.PoseEstimator().threshold == 0.25  # N, below which readings are noise
     assert not passes(perception.FrameWindow(lambda: 10.0).fresh, 1, 0.01)  # s; no frame, so no estimate
+    assert release.FREE_CURRENT < contact.CONTACT_LOST_CURRENT <= 0.15  # A, the least band
+    assert (touch._CLEARANCE_CONTACTS, charging.CLEARANCE_PERIOD, watch._FAULT_DELAY) == (2, 2.0, 0.15)
     assert (motion.STOP_TIME, controller.OPENING_TIME) == (0.5, 0.3)  # s until torque goes off

@@ -5,50 +5,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import pytest
-
-from deltacharger_core.script import NEXT, Calls, Runner, Script, Wait
+from deltacharger_core.script import NEXT, Calls, Runner, Script
 
 
 @dataclass(frozen=True)
 class Reply:
     number: int
     text: str = ""
-
-
-def test_a_script_runs_step_by_step_and_reports_what_it_waits_for() -> None:
-    done = []
-
-    def script() -> Script[None]:
-        yield Wait(3.0, reads=True)
-        done.append("waited")
-        yield NEXT
-
-    runner = Runner()
-    assert runner.step(None) == NEXT
-    runner.start(script())
-    assert runner.step(None) == Wait(3.0, reads=True)
-    assert not done
-    assert runner.step(None) == NEXT
-    assert done == ["waited"]
-    assert runner.is_running
-    assert runner.step(None) == NEXT
-    assert not runner.is_running
-
-
-def test_a_problem_is_thrown_into_a_script_where_it_waits() -> None:
-    def script() -> Script[None]:
-        try:
-            yield Wait(1e9)
-        except TimeoutError:
-            yield Wait(5.0)
-
-    runner = Runner()
-    runner.start(script())
-    runner.step(None)
-    assert runner.step(TimeoutError()) == Wait(5.0)
-    with pytest.raises(KeyError):
-        runner.step(KeyError())
 
 
 def test_a_script_that_is_replaced_or_forgotten_is_closed() -> None:

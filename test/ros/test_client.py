@@ -3,26 +3,19 @@
 
 from __future__ import annotations
 
-import math
 import threading
-import time
 from collections.abc import Callable, Iterator
-from types import SimpleNamespace
 from typing import Any
-from unittest.mock import Mock
 
 import pytest
 from deltacharger.action import Dock, Undock
-from rclpy.action import client as action_client
 from rclpy.action.server import ActionServer, CancelResponse, GoalResponse
 from rclpy.node import Node
-from rclpy.task import Future
 
 from deltacharger_docking.codes import Code
 from deltacharger_mission.ros.others import unknown_dock
-from deltacharger_ros import action_caller
 from deltacharger_ros import client as client_module
-from deltacharger_ros.action_caller import LOST, ActionCaller, SentGoal
+from deltacharger_ros.action_caller import LOST, ActionCaller
 from deltacharger_ros.client import ChargerClient, ClientError
 from deltacharger_ros.executor import Spinner
 from deltacharger_ros.messages import CODES, to_outcome
@@ -153,20 +146,6 @@ def test_a_charger_whose_answers_do_not_arrive_is_named_and_gets_no_goal(
     assert not served
 
 
-@pytest.mark.version
-def test_an_answer_during_sending_is_received(
-    answering: Answering, client: ChargerClient, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    class Late(action_client.Future):  # type: ignore[misc]
-        def __init__(self, *args: Any, **kwargs: Any) -> None:
-            time.sleep(0.1)  # a stall between the request and the lookup of its answer
-            super().__init__(*args, **kwargs)
-
-    answering()
-    monkeypatch.setattr(action_client, "Future", Late)
-    assert client.dock(GOAL, deadline=DEADLINE).success
-
-
 def test_a_callers_unanswered_goal_is_lost(serve: Callable[..., Server], context: Any, namespace: str) -> None:
     serve(decides=False)
     ends: list[tuple[Any, ...]] = []
@@ -183,19 +162,6 @@ def test_a_callers_unanswered_goal_is_lost(serve: Callable[..., Server], context
     assert ends == [(7, LOST, None, None)]
     assert caller.is_settled
     spinner.close(caller)
-
-
-def test_a_result_that_was_lost_after_hours_is_requested_within_a_minute(monkeypatch: pytest.MonkeyPatch) -> None:
-    now = 0.0
-    monkeypatch.setattr(action_caller, "time", SimpleNamespace(monotonic=lambda: now))
-    asked: list[float] = []
-    node: Any = SimpleNamespace(executor=SimpleNamespace(call_soon=lambda *call: asked.append(now) or Future()))
-    sent = SentGoal(node, Mock(), Dock.Goal(), lambda message: None)
-    while now < 4 * 3600.0:
-        now += 1.0
-        sent.check()
-    assert asked[-1] - asked[-2] == 60.0
-    assert len(asked) < 250
 
 
 @pytest.mark.version
@@ -222,19 +188,6 @@ def test_a_goal_is_cancelled_although_its_acceptance_was_lost(answering: Answeri
     with pytest.raises(ClientError, match="did not answer the goal 'dock'"):
         client.dock(GOAL, cancel=cancel)
     assert ended.wait(DEADLINE)
-
-
-@pytest.mark.parametrize(
-    ("end", "voltage", "told"),
-    [
-        ("full", 29.38, "full at 29.4 V; contact"),
-        ("stop_after", math.nan, "500 J, stop_after; contact"),
-    ],
-)
-def test_figures_tell_what_ended_charging_and_the_voltage(end: str, voltage: float, told: str) -> None:
-    result = unknown_dock()
-    result.success, result.energy, result.charge_end, result.charge_voltage = True, 500.0, end, voltage
-    assert told in to_outcome("dock", result).figures()
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,6 @@
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -180,29 +178,6 @@ def test_a_callback_that_raises_ends_the_spinner(
     assert client.wait_for_service(DEADLINE)
     client.call_async(Trigger.Request())
     assert ended(spinner)
-
-
-@pytest.mark.witness
-def test_a_program_that_closes_nothing_ends_normally() -> None:
-    """Even while many messages arrive."""
-    code = """
-import threading, rclpy
-from rclpy.node import Node
-from std_msgs.msg import Empty
-from deltacharger_ros.executor import Spinner
-rclpy.init(args=[])
-node, received = Node("subject"), threading.Semaphore(0)
-node.create_subscription(Empty, "topic", lambda message: received.release(), 10)
-publisher = node.create_publisher(Empty, "topic", 10)
-spinner = Spinner(node)
-def pour():
-    while True:
-        publisher.publish(Empty())
-threading.Thread(target=pour, daemon=True).start()
-received.acquire()
-"""
-    process = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=DEADLINE, check=False)
-    assert process.returncode == 0, process.stderr.decode()
 
 
 def test_the_shutdown_of_ros_ends_the_spinner(namespace: str) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 import random
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -216,30 +215,6 @@ def test_the_default_is_not_used_while_tf_may_still_arrive(robot: Robot, make: M
         assert not isinstance(refusal.value, UnknownFrame)
         robot.fix("base_link", "charger_base", MOUNT)
     assert close(found[0], MOUNT)
-
-
-def test_without_tf_nothing_waits_after_the_start_and_base_pose_is_logged_once(
-    context: Any, namespace: str, capfd: pytest.CaptureFixture[str]
-) -> None:
-    transforms()
-    node = Node("asker", **options(context, namespace))
-    frames = Frames(node, TransformParameters(transform_timeout=0.2), "base_link", USUAL)
-    began = time.monotonic()
-    assert [frames.charger_base_in("base_link") for _ in range(3)] == [USUAL] * 3
-    assert time.monotonic() - began < host(3.0)
-    assert "".join(capfd.readouterr()).count("base_pose is used for the charger's mount") == 1
-    node.destroy_node()
-
-
-def test_the_error_names_a_broken_tf2_ros_and_charger_base_still_works(
-    make: Make, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    frames = make(timeout=0.0, base_pose=MOUNT)
-    monkeypatch.setitem(sys.modules, "tf2_ros", None)
-    for frame in ("map", "base_link"):
-        with pytest.raises(TransformError, match=r"tf2_ros .*cannot be loaded"):
-            frames.charger_base_in(frame)
-    assert frames.charger_base_in("charger_base") == IDENTITY
 
 
 def test_a_transform_with_an_invalid_stamp_hides_no_other(robot: Robot, make: Make) -> None:

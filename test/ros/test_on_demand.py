@@ -7,15 +7,13 @@ import math
 from typing import Any
 
 import pytest
-import rclpy
-from deltacharger.msg import Misalignment
 from deltacharger.srv import DetectElectrodes, PredictMisalignment, Probe
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Int64
 
-from deltacharger_ros.messages import unknown, unknown_misalignment
+from deltacharger_ros.messages import unknown
 from deltacharger_ros.on_demand import LatestMessage, OnDemandSubscription, PolledTopic
 
 from ..chargers import DEADLINE, Spin, wait_until
@@ -94,19 +92,6 @@ def test_a_latest_message_is_the_newest_from_either_path(node: Node, publisher: 
     assert latest.take() is None
 
 
-def test_nothing_is_taken_after_the_shutdown_of_ros(namespace: str) -> None:
-    own = rclpy.Context()
-    rclpy.init(context=own, args=[])
-    node = Node("listener", context=own, namespace=namespace, use_global_arguments=False)
-    polled, latest = PolledTopic(node, Int64, "counts", QOS), LatestMessage(node, Int64, "counts", QOS)
-    latest.wait(0.01)
-    rclpy.shutdown(context=own)
-    latest.wait(0.01)
-    assert latest.take() is None
-    assert list(polled.take()) == []
-    node.destroy_node()
-
-
 @pytest.mark.parametrize(
     ("kind", "count"),
     [(PredictMisalignment.Response, 14), (DetectElectrodes.Response, 7 + 36 + 3), (Probe.Response, 2)],
@@ -116,11 +101,3 @@ def test_every_float_of_an_answer_without_measurement_is_nan(kind: Any, count: i
     found = list(numbers(unknown(kind())))
     assert len(found) == count
     assert all(map(math.isnan, found))
-
-
-def test_an_unknown_misalignment_has_a_frame_and_no_contact() -> None:
-    message = unknown_misalignment()
-    assert message.header.frame_id == "end_effector"
-    assert (message.contact, message.sure, message.in_range) == (False, False, False)
-    assert not len(message.angle_probability)
-    assert message.header.stamp == Misalignment().header.stamp

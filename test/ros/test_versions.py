@@ -43,12 +43,6 @@ def test_a_command_refuses_an_older_ros(tmp_path: Path) -> None:
     assert json.loads(process.stdout) == {"success": False, "error": line}
 
 
-@pytest.mark.rest
-def test_a_command_without_nodes_runs_on_any_ros(tmp_path: Path) -> None:
-    process = on_older_ros(tmp_path, "-m", "deltacharger_bringup.cli", "scene")
-    assert process.returncode == 0, process.stderr
-
-
 def test_every_ros_package_of_the_build_has_its_jazzy_version() -> None:
     """A missing package would be installed in Kilted's version, or fail in CMake after a minute."""
     wanted = set(re.findall(r'^  "(ros-[a-z-]+)', (ROOT / "pyproject.toml").read_text(), re.MULTILINE))
