@@ -70,6 +70,7 @@ def test_a_detected_fault_opens_at_once_and_stays_until_the_next_opening_command
     bench.send(CONTACTOR, OPEN)
     bench.run(0.1)
     assert bench.power().fault == 0
+    assert bench.error(CONTACTOR, encode_limit(2.0)) == 4  # it is open
     assert bench.close() == 3  # the opening voided the probe
     bench.closed()
 
@@ -168,25 +169,70 @@ def test_a_gap_is_tolerated_for_its_time_and_current_ramps_again_from_one_ampere
     assert not survives or any(0.5 < p.charge_current < 9.0 for p in powers)
 
 
+NAN = math.nan
+
+
+@pytest.mark.parametrize(
+    ("readings", "after", "fault"),
+    [
+        ({"current": 20.1}, 0.0, 9),
+        ({"current": -5.1}, 0.0, 6),
+        ({"current": -0.6}, 0.1, 6),
+        ({"target": -1.0}, 0.0, 4),
+        ({"target": 1.9, "current": 5.0}, 0.0, 2),
+        ({"target": 29.8}, 0.1, 5),
+        ({"target": 9.9}, 0.1, 5),
+        ({"battery": 29.9}, 0.1, 5),
+        ({"battery": 22.6}, 5.0, 5),
+        ({"target": NAN}, 0.1, 3),
+        ({"battery": NAN}, 0.1, 3),
+        ({"current": NAN}, 0.1, 3),
+        ({"current": 0.04}, 0.2, 1),
+    ],
+)
+def test_a_bad_reading_opens_in_time_and_a_shorter_one_does_not(
+    readings: dict[str, float], after: float, fault: int
+) -> None:
+    bench = charging({}, current=5.0)
+    bench.run(0.5)
+    if after:
+        bench.plant.measured = readings
+        bench.run(after - 0.02)
+        bench.plant.measured = {}
+        bench.run(0.02)
+        assert bench.board.contactor_commanded
+    bench.plant.measured = readings
+    bench.run(after + 0.02)
+    assert (bench.board.contactor_commanded, bench.board.fault) == (False, fault)
+    assert not bench.plant.read_power().closed
+
+
+def test_an_unknown_current_does_not_end_a_gap() -> None:
+    bench = charging({}, current=5.0, gap_time=0.2)
+    bench.run(0.5)
+    for current, seconds in ((0.0, 0.15), (NAN, 0.07), (0.0, 0.02)):
+        bench.plant.measured = {"current": current}
+        bench.run(seconds)
+    assert bench.board.fault == BoardFault.NO_CHARGE_CURRENT
+
+
 @pytest.mark.parametrize(
     ("readings", "fault"),
     [
-        ([("current", -0.6, 0.08)], 0),
-        ([("current", -0.6, 0.13)], 6),
-        ([("current", -5.1, 0.02)], 6),
-        ([("target", 29.65, 1.0)], 0),
-        ([("target", 29.8, 0.08)], 0),
-        ([("target", 29.8, 0.15)], 5),
-        ([("current", 0.0, 0.15), ("current", math.nan, 0.07), ("current", 0.0, 0.02)], 1),  # unknown is no current
+        ({"output": 20.0}, 5),
+        ({"output": NAN}, 3),
+        ({"target": NAN}, 1),
+        ({"target": -24.0}, 4),
+        ({"target": 9.0}, 5),
+        ({"target": 29.5}, 5),
     ],
 )
-def test_a_bad_reading_is_tolerated_for_its_time(readings: list[tuple[str, float, float]], fault: int) -> None:
-    bench = charging({}, current=5.0)
-    bench.run(0.5)
-    for name, value, seconds in readings:
-        bench.plant.measured = {name: value}
-        bench.run(seconds)
-    assert bench.board.fault == fault
+def test_a_close_that_cannot_be_completed_ends_with_its_fault(readings: dict[str, float], fault: int) -> None:
+    bench = charging({})
+    bench.plant.measured = readings
+    bench.run(0.7)
+    assert (bench.board.contactor_commanded, bench.board.fault) == (False, fault)
+    assert not bench.plant.read_power().closed
 
 
 @pytest.mark.parametrize(

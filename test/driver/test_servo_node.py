@@ -29,7 +29,6 @@ from deltacharger_driver.ports import PseudoTerminal
 from deltacharger_driver.servos.motion import ContactorState
 from deltacharger_driver.servos.registers import TICK
 from deltacharger_driver.servos.servo_node import ServoNode
-from deltacharger_ros.executor import Spinner
 from deltacharger_ros.node_support import StartupError
 
 from ..chargers import Spin, new_namespace, patience
@@ -66,12 +65,6 @@ class Client(Node):
         assert self.torque.wait_for_service(DEADLINE)
         return call(self.torque, SetBool.Request(data=on))
 
-    def fresh(self) -> ServoState:
-        """Return a state sent after this call."""
-        count = len(self.states)
-        wait_until(lambda: len(self.states) > count + 1)
-        return self.states[-1]
-
     def send(self, *points: tuple[float, Any]) -> None:
         message = JointTrajectory(joint_names=list(JOINTS))
         message.header.frame_id = self.secret
@@ -82,9 +75,17 @@ class Client(Node):
             message.points.append(point)
         self.trajectories.publish(message)
 
-    def reports(self, *texts: str) -> bool:
-        """Return whether a diagnostic contains all texts."""
-        return any(all(text in status.message for text in texts) for status in list(self.statuses))
+    def reports(self, text: str) -> bool:
+        """Return whether a diagnostic contains a text."""
+        return any(text in status.message for status in list(self.statuses))
+
+    def reports_health(self) -> bool:
+        """Return whether the first diagnostic of the bus shows no fault, and its rate and counts."""
+        bus = wait_until(lambda: [each for each in list(self.statuses) if each.name.endswith("servo bus")])[0]
+        values = {value.key: value.value for value in bus.values}
+        counted = {"late_cycles", "timeouts", "corrupt", "late", "retries", "watchdog_trips", "reconnections"}
+        rate = float(values["rate"].removesuffix(" Hz"))
+        return bus.level == DiagnosticStatus.OK and 60.0 / host(1.0) < rate <= 105.0 and counted <= set(values)
 
 
 class PowerStage(Node):
@@ -134,53 +135,6 @@ def emulated(arm: BenchArm) -> Iterator[str]:
         yield terminal.path
 
 
-@pytest.fixture(scope="module")
-def shared(context: Any) -> Iterator[Servos]:
-    spinners: list[Spinner] = []
-
-    def spin(node: Any) -> Any:
-        spinners.append(Spinner(node))
-        return node
-
-    with patience(), emulated(arm := BenchArm(START)) as path:
-        yield Servos(context, path, arm, spin)
-        for spinner in reversed(spinners):
-            spinner.close()
-
-
-@pytest.fixture
-def servos(shared: Servos) -> Servos:
-    """With torque off."""
-    assert shared.client.set_torque(False).success
-    shared.client.statuses.clear()
-    return shared
-
-
-@pytest.mark.version
-def test_diagnostics_report_health_rate_and_late_cycles(servos: Servos) -> None:
-    bus = wait_until(lambda: [s for s in list(servos.client.statuses) if s.name.endswith("servo bus")])[0]
-    assert {status.level for status in servos.client.statuses} == {DiagnosticStatus.OK}
-    values = {value.key: value.value for value in bus.values}
-    assert 60.0 / host(1.0) < float(values["rate"].removesuffix(" Hz")) <= 105.0
-    assert {"late_cycles", "timeouts", "corrupt", "late", "retries", "watchdog_trips", "reconnections"} <= set(values)
-
-
-@pytest.mark.version
-def test_torque_trajectory_hold_torque_off_and_reboot(servos: Servos) -> None:
-    client = servos.client
-    assert client.set_torque(True).success
-    assert servos.arm.torque_enabled() == [True] * 3
-    client.send((0.05, HIGHER))
-    wait_until(lambda: list(client.states[-1].position) == pytest.approx(HIGHER, abs=2 * TICK))
-    assert list(client.states[-1].torque_enabled) == [True] * 3
-    client.send((0.0, START))
-    servos.are_at(START)
-    assert client.set_torque(False).success
-    assert servos.arm.torque_enabled() == [False] * 3
-    assert list(client.fresh().torque_enabled) == [False] * 3
-    assert call(client.reboot, Trigger.Request()).success
-
-
 @pytest.mark.witness
 @pytest.mark.version
 def test_while_the_contactor_is_closed_the_arm_stands_still_and_keeps_its_torque(context: Any, spin: Spin) -> None:
@@ -195,6 +149,8 @@ def test_while_the_contactor_is_closed_the_arm_stands_still_and_keeps_its_torque
         def becomes(state: ContactorState) -> None:
             wait_until(lambda: servos.node._contactor_state is state, state.name)
 
+        assert servos.client.reports_health()
+        assert call(servos.client.reboot, Trigger.Request()).success
         assert servos.client.set_torque(True).success
         becomes(ContactorState.OPEN)
         servos.client.send((60.0, [angle + 0.4 for angle in START]))
@@ -219,14 +175,9 @@ def test_while_the_contactor_is_closed_the_arm_stands_still_and_keeps_its_torque
         assert arm.torque_enabled() == [False] * 3
 
 
-@pytest.mark.parametrize(
-    ("parameters", "reason"), [({"ids": [1, 1, 2]}, "no id twice"), ({"joint_min": 1.0, "joint_max": 0.5}, "joint_min")]
-)
-def test_a_wrong_configuration_stops_the_start_with_a_reason(
-    context: Any, terminal: PseudoTerminal, parameters: dict[str, Any], reason: str
-) -> None:
-    with pytest.raises(StartupError, match=reason):
-        ServoNode(**options(context, port=terminal.path, **parameters))
+def test_a_wrong_configuration_stops_the_start_with_a_reason(context: Any, terminal: PseudoTerminal) -> None:
+    with pytest.raises(StartupError, match="no id twice"):
+        ServoNode(**options(context, port=terminal.path, ids=[1, 1, 2]))
 
 
 @pytest.mark.witness

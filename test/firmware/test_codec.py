@@ -18,7 +18,6 @@ from deltacharger_driver.board.protocol import (
 )
 from deltacharger_driver.packets import Packet, PacketDecoder, encode_packet
 
-from ..marks import night
 from .codec_process import CodecProcess
 
 
@@ -84,36 +83,15 @@ def test_every_code_half_between_codes_and_the_edges(codec: CodecProcess) -> Non
         assert np.nanmax(np.abs(back - clipped)) <= FULL_SCALE / (top - 1) / 2 + 1e-6
 
 
-def mutate(source: random.Random, wire: bytearray) -> bytearray:
-    """Damage a packet once: a bit, a byte, a zero, a cut, a gap, noise, a repetition."""
-    at = source.randrange(len(wire))
-    kind = source.randrange(8)
-    if kind < 3:
-        wire[at] = (wire[at] ^ 1 << source.randrange(8), source.randrange(256), 0)[kind]
-    elif kind < 6:
-        del wire[slice(at, None) if kind == 3 else slice(at + 1) if kind == 4 else slice(at, at + 10)]
-    elif kind == 6:
-        wire[at:at] = source.randbytes(source.randrange(1, 20))
-    else:
-        wire += wire[at:]
-    return wire or bytearray(1)
-
-
-@pytest.mark.parametrize("pieces", [8, night(300)])
-def test_mutated_packets_are_decoded_identically(codec: CodecProcess, pieces: int) -> None:
-    """Only sent packets are accepted, and both decoders accept and count the same."""
+def test_damaged_packets_are_decoded_identically(codec: CodecProcess) -> None:
+    """Of each packet one byte is changed, lost or new."""
     source = random.Random(4)
-    originals = [random_packet(source) for _ in range(150)]
-    wires = [encode_packet(packet) for packet in originals]
-    streams = []
-    for _ in range(pieces):
-        stream = bytearray()
-        for _ in range(400):
-            wire = bytearray(source.choice(wires))
-            for _ in range(source.randrange(1, 4)):
-                wire = mutate(source, wire)
-            stream += wire
-        streams.append(bytes(stream))
-    accepted = assert_same(codec, streams)
+    originals = [random_packet(source) for _ in range(300)]
+    stream = b""
+    for number, packet in enumerate(originals):
+        wire = encode_packet(packet)
+        at = source.randrange(len(wire))
+        stream += wire[:at] + source.randbytes(number % 3) + wire[at + number % 2 :]
+    accepted = assert_same(codec, [stream[at : at + 1000] for at in range(0, len(stream), 1000)])
     assert set(originals).issuperset(accepted)
-    assert 0 < len(accepted) < 200 * pieces  # an insertion before the first delimiter leaves a packet intact
+    assert 0 < len(accepted) < 200
