@@ -6,7 +6,6 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -20,10 +19,10 @@ import yaml
 
 from deltacharger_bringup.cli.main import main
 from deltacharger_lab.campaigns import docking
-from deltacharger_lab.campaigns.compare import compare_campaigns, compare_numbers, compare_rates, mcnemar
+from deltacharger_lab.campaigns.compare import compare_numbers, compare_rates, mcnemar
 from deltacharger_lab.campaigns.docking import RESULTS
 from deltacharger_lab.campaigns.draw import draw
-from deltacharger_lab.campaigns.runner import batches, run_batch, run_missing
+from deltacharger_lab.campaigns.runner import run_batch, run_missing
 from deltacharger_lab.campaigns.store import CampaignError, CampaignRefused, Store, read_results
 from deltacharger_lab.campaigns.summary import summarise, wilson
 from test.chargers import Process, wait_until
@@ -74,23 +73,6 @@ def test_a_stopped_campaign_continues_with_what_is_missing(tmp_path: Path, worke
             assert goes_on == (store.missing() == [])
     assert sorted(written) == list(range(count))
     assert stored(tmp_path) == expected(count)
-
-
-@pytest.mark.night
-def test_a_dead_worker_process_loses_and_doubles_no_row(tmp_path: Path) -> None:
-    messages: list[str] = []
-
-    def report(rows: Sequence[dict[str, Any]]) -> None:
-        if not messages:
-            messages.append("killed")
-            os.kill(min(children(os.getpid(), "spawn_main")), signal.SIGKILL)
-
-    with Store(tmp_path, settings(12)) as store:
-        run_missing(store, 2, report, lambda: False, messages.append, 1)
-        assert store.missing() == []
-    assert messages[0] == "killed"
-    assert "a worker process died" in messages[1]
-    assert stored(tmp_path) == expected(12)
 
 
 @pytest.mark.rest
@@ -176,23 +158,6 @@ def test_one_folder_has_one_writer_and_no_row_twice(tmp_path: Path) -> None:
         read_results(tmp_path / "s")
 
 
-def test_results_of_an_earlier_version_are_compared_and_not_continued(tmp_path: Path) -> None:
-    import pyarrow.parquet as parquet
-
-    earlier = replace(settings(2), versions={**settings(2).versions, "deltacharger": "0.0.1"})
-    rows = run_batch(settings(2).to_json(), [0, 1])
-    for name, told in (("old", earlier), ("new", settings(2))):
-        with Store(tmp_path / name, told) as store:
-            store.add(rows)
-    (part,) = (tmp_path / "old").glob("part-*.parquet")
-    parquet.write_table(parquet.read_table(part).drop_columns(["bar_heat"]), part)
-    with pytest.raises(CampaignRefused, match="no column bar_heat"):
-        read_results(tmp_path / "old")
-    found = compare_campaigns(tmp_path / "old", tmp_path / "new")
-    now = settings(2).versions["deltacharger"]
-    assert (found["pairs"], found["differs"]) == (2, [f"version of deltacharger: 0.0.1 → {now}"])
-
-
 def test_a_crash_becomes_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
     real = docking.run
 
@@ -208,15 +173,6 @@ def test_a_crash_becomes_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
     assert rows[1]["target.x"] == draw(scene(), 3, 1).values["target.x"]
     summary = summarise({name: [row[name] for row in rows] for name in RESULTS | {"number": None}})
     assert (summary["n"], summary["crashed"], summary["refused"]) == (3, 1, {})
-
-
-def test_batches_have_every_number_once_and_suit_the_workers() -> None:
-    assert batches([], 0, 2) == []
-    assert batches([4, 7, 9], 2, 1) == [[4, 7], [9]]
-    shared = batches(range(100), 0, 4)
-    assert [number for each in shared for number in each] == list(range(100))
-    assert len(shared) >= 4 * 4
-    assert max(map(len, batches(range(10**6), 0, 2))) <= 50
 
 
 def test_wilson_intervals_have_their_nominal_coverage() -> None:

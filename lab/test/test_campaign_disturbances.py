@@ -15,7 +15,7 @@ from deltacharger_kinematics.geometry import DeltaGeometry, LimbAdjustment
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_kinematics.trajectory_feed import Waypoint
 from deltacharger_lab.campaigns import docking
-from deltacharger_lab.campaigns.disturbances import LASTS, high_row, watched_after
+from deltacharger_lab.campaigns.disturbances import LASTS, high_row
 from deltacharger_lab.campaigns.docking import dock_once, make_charger
 from deltacharger_lab.campaigns.draw import Drawn, draw
 from deltacharger_lab.campaigns.parts import assumed_geometry, build_parts
@@ -37,15 +37,6 @@ def docked(exact: bool = False, number: int = 0, **more: Any) -> dict[str, Any]:
     row = dock_once(scene({**QUICK, **more}), 3, number, exact)
     assert row["error"] == ""
     return row
-
-
-def test_assumed_stiffness_and_torque_constant_do_not_change_the_true_ones() -> None:
-    world, _, used = build_parts({"world.servo.stiffness": 5.0, "assumed.servo_stiffness": 2.5})
-    assert (world.servo.stiffness, used.servo_stiffness) == (5.0, 12.5)
-    world, _, used = build_parts({"world.servo.torque_constant": 1.2})
-    assert (world.servo.torque_constant, used.torque_constant) == (1.2, 1.2)
-    world, _, used = build_parts({"assumed.torque_constant": 0.8})
-    assert (world.servo.torque_constant, used.torque_constant) == (TORQUE_CONSTANT, 0.8 * TORQUE_CONSTANT)
 
 
 @pytest.mark.parametrize("exact", [False, True])
@@ -105,13 +96,6 @@ def test_pairs_stay_pairs_and_true_assumptions_change_no_row() -> None:
     assert comparable([{name: told[name] for name in plain}]) == comparable([plain])
 
 
-def test_a_high_row_is_ten_taxels_of_one_pad_drawn_per_docking() -> None:
-    assert np.count_nonzero(high_row(1.5, 4)) == 10
-    assert np.count_nonzero(high_row(1.5, 4).any(axis=2)) == 1
-    assert len({tuple(np.argwhere(high_row(1.0, seed))[0][:2]) for seed in range(400)}) == 20
-    np.testing.assert_array_equal(high_row(1.5, 4), 1.5 * high_row(1.0, 4))
-
-
 @exactly_too
 def test_the_high_row_appears_after_the_tare_only(exact: bool) -> None:
     baselines, feels = [], []
@@ -158,9 +142,3 @@ def test_the_nudge_occurs_once_at_its_time() -> None:
     assert moves[-1] <= moves[0] + LASTS + 0.2
     assert places[-1][1] == pytest.approx(places[0][1] + 0.002)
     assert math.isnan(nudging.opened)
-
-
-def test_charging_continues_after_a_nudge_with_clearance() -> None:
-    row = nudged(x=0.001, after=1.5)
-    assert (row["ended"], math.isnan(row["nudge_opened"])) == ("", True)
-    assert row["energised"] > 1.5 + watched_after()

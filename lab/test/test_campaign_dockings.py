@@ -91,15 +91,6 @@ def test_a_quick_docking_ends_like_a_full_one(content: dict[str, Any]) -> None:
     assert quick["peak_push"] == pytest.approx(exact["peak_push"], rel=0.15, abs=1.0)  # 11 % on leaning faces
 
 
-@pytest.mark.rest
-@pytest.mark.parametrize("number", [473, 989])
-def test_rolled_faces_that_lean_strike_no_harder_than_level_ones_of_stiff_springs(number: int) -> None:
-    """The pads' moment depends on the force and must not increase it in turn, or the force grows without end."""
-    row = dock_once(packaged("edge"), 20, number)
-    assert row["error"] == ""
-    assert 100.0 < row["peak_force"] < 2000.0
-
-
 @pytest.mark.parametrize(
     ("number", "codes"),
     [

@@ -55,15 +55,6 @@ def test_without_errors_an_estimate_is_unchanged_and_bias_and_scale_are_exact() 
     assert (one.sure, one.in_range, one.contact) == (ESTIMATE.sure, ESTIMATE.in_range, ESTIMATE.contact)
 
 
-def test_estimates_without_contact_are_counted_and_have_no_error() -> None:
-    stand_in = charger(None)
-    log = EstimateLog(stand_in, EstimatorErrors(tail=3.0), 1)
-    reply = stand_in.answer[Service.ESTIMATE](Reply(1, True, estimate=ESTIMATE))
-    assert reply.estimate == ESTIMATE
-    assert (log.count, log.first, log.last) == (1, None, None)
-    assert stand_in.answer[Service.ESTIMATE](Reply(2, False)) == Reply(2, False)
-
-
 def test_a_row_has_the_values_at_rest_and_the_estimates_with_the_truth() -> None:
     scene = parse_campaign_scene(QUICK, "quick")
     row = dock_once(scene, 3, 1)

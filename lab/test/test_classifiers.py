@@ -14,7 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 import deltacharger_tactile
-from deltacharger_lab.training import labels, reliability, splits
+from deltacharger_lab.training import reliability, splits
 from deltacharger_lab.training.classifier import DEFAULT, TrainableClassifier, write
 from deltacharger_lab.training.inputs import NAMES, digest
 from deltacharger_lab.training.judgement import evaluate_classifier
@@ -136,12 +136,6 @@ def test_what_calibration_learnt_is_in_the_file_and_robots_read_it_without(angle
     np.savez(path, **arrays | {"about": np.array(json.dumps(about))})
     with pytest.raises(ModelError, match=path.name):
         TrainableClassifier.load(path)
-
-
-def test_classes_match_the_paper() -> None:
-    degrees = np.radians([0.0, 0.49, 0.51, 4.6, 5.5, 5.6])
-    assert labels.label(degrees, "angle").tolist() == [0, 0, 1, 5, 5, -1]
-    assert labels.label(np.array([-0.010, -0.0124, 0.0024, 0.0026, 0.0126]), "horizontal").tolist() == [0, 0, 2, 3, -1]
 
 
 def test_a_target_uses_the_rows_that_vary_it(data: Dataset) -> None:

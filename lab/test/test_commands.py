@@ -44,18 +44,12 @@ def test_without_a_needed_library_the_error_names_what_to_install(
 # Command line, and a noun of what is said about it.
 REFUSED = {
     "report kinematics --quick --out /proc/report": "/proc/report",
-    "generate --out /proc/data.npz": "/proc/data.npz",
     "evaluate --data none.npz --model none.npz": "none.npz",
     "train --data text.npz --model lda --target pose --out m.npz": "--model pose",
-    "campaign": "--out",
     "campaign --out text.npz": "text.npz is a file",
     "campaign --out new --scenes defualt": "'default'",
     "campaign --compare new new": "_campaign.json",
-    "report vision --images 1": "--images",
-    "report tactile --seed -1": "--seed",
     "report footprint --scene bensch": "'bench'",
-    **{f"report {subject} --seed 1": "--seed" for subject in ("footprint", "simulation")},
-    "report docking --quik": "--quik",
     "report docking --only egde --out new": "egde",
     "report kinematics --quick --out text.npz": "--out",
 }

@@ -4,9 +4,7 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -27,7 +25,6 @@ from deltacharger_sim.touch import TargetTouch
 from deltacharger_sim.world import World
 from test.marks import night, rest
 from test.plain import plain_servo
-from test.sim.test_world import ALONE, QUIET, settled
 
 ArmFactory = Callable[..., Any]
 SLIPPERY = plain_servo(friction=0.0, viscosity=0.02)
@@ -107,21 +104,6 @@ def test_both_settle_with_the_same_force_gap_and_contact_current(
     assert max(map(abs, other.torques)) <= bound * 6.0 / 4.1 + 1e-9
 
 
-@pytest.mark.night
-def test_both_agree_in_fast_motion(pair: Any) -> None:
-    """The rotors' inertia follows the arms' curved path: a model without half of that is 6 mm off here."""
-    servo = plain_servo(friction=0.0, inertia=0.02, viscosity=0.05)
-    light, other = pair(WorldParameters(servo=servo, target=NO_TARGET), 0.0002)
-    light.step = other.step = 0.0002
-    for each in (light, other):
-        each.go((-0.05, 0.0, 0.02), 0.8)
-        each.aim((0.05, 0.03, 0.1))
-    for _ in range(600):
-        for each in (light, other):
-            each.world.step(0.0002)
-        assert math.dist(light.world.mechanics.position, other.world.mechanics.position) < 4e-4
-
-
 @pytest.mark.parametrize(
     ("parameters", "key"),
     [
@@ -134,12 +116,6 @@ def test_parameters_that_the_reference_lacks_are_refused_by_key(parameters: Any,
     with pytest.raises(ParameterError) as caught:
         refuse(WorldParameters(**{"servo": plain_servo()} | parameters))
     assert caught.value.key == key
-
-
-def test_without_mujoco_the_message_states_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "mujoco", None)
-    with pytest.raises(ModuleNotFoundError, match=r"deltacharger-lab\[sim\]"):
-        mujoco_world(WorldParameters())
 
 
 def leaning(
@@ -200,11 +176,3 @@ def test_both_models_pull_sideways_by_the_energy_of_the_pull(gap: float, offset:
     aside = (pulls(gap + tiny, offset)[1] - pulls(gap - tiny, offset)[1]) / (2.0 * tiny)
     assert aside == pytest.approx(ahead, rel=1e-5, abs=1e-3)
     assert (pulls(gap, offset)[1] > 0.0) == (offset < 0.016)  # beyond, the share is at its floor
-
-
-@pytest.mark.rest
-def test_it_has_the_light_models_gains(arm: ArmFactory) -> None:
-    require_mujoco()
-    resting = arm()
-    resting.world = mujoco_world(WorldParameters(servo=replace(QUIET, friction=0.001), target=ALONE))
-    assert settled(resting, 1.0, 0.5, 2.0) == pytest.approx([15.0, 7.5, 30.0], rel=1e-3)

@@ -16,7 +16,7 @@ import pytest
 from deltacharger_lab.mujoco.camera import MujocoCamera, RendererError
 from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
-from deltacharger_vision.rendering.scene import Box, CameraParameters, RenderedScene, draw_scene, shifted
+from deltacharger_vision.rendering.scene import CameraParameters, RenderedScene
 from deltacharger_vision.terminal import UPPER, Terminal
 from test.marks import rest
 from test.vision.views import EVEN, FACES, VIEWS, cover, edge_errors, linear, shown, view
@@ -109,17 +109,6 @@ def test_edges_depth_and_silhouettes_match_the_ray_caster(lens: Intrinsics, pose
     assert not eroded(differ, 1).any()
 
 
-@pytest.mark.rest
-def test_a_seed_determines_the_image_after_any_other() -> None:
-    scene, pose = draw_scene(np.random.default_rng(5), clutter=4), view(0.3, 0.3)
-    places = [(0.02 * (i % 15) - 0.15, 0.02 * (i // 15) - 0.1, 0.5) for i in range(150)]
-    crowd = RenderedScene(background=tuple(Box(shifted(place), (0.01,) * 3, (0.5,) * 3) for place in places))
-    with opened(OAK_D, CameraParameters()) as noisy:
-        first, _, again = (noisy.render(each, pose, np.random.default_rng(1)) for each in (scene, crowd, scene))
-    np.testing.assert_array_equal(first.color, again.color)
-    np.testing.assert_array_equal(first.depth, again.depth)
-
-
 def test_a_closed_camera_raises_and_a_lens_that_distorts_is_refused(camera: MujocoCamera) -> None:
     with MujocoCamera(parameters=IDEAL) as other:
         pass
@@ -138,15 +127,3 @@ def test_without_opengl_the_error_states_what_to_install(camera: MujocoCamera, b
     ended = run(code, MUJOCO_GL=backend)
     assert ended.returncode == 1
     assert "libegl1" in ended.stderr.splitlines()[-1]
-
-
-@pytest.mark.rest
-def test_it_draws_after_mujoco_has_simulated_a_world(camera: MujocoCamera) -> None:
-    ended = run(
-        "from deltacharger_lab.mujoco.world import mujoco_world\n"
-        "from deltacharger_sim.parameters import ServoParameters, WorldParameters\n"
-        "from deltacharger_lab.mujoco.camera import MujocoCamera\n"
-        "mujoco_world(WorldParameters(servo=ServoParameters(friction_share=0.0))).step()\n"
-        "MujocoCamera().close()"
-    )
-    assert (ended.returncode, ended.stderr) == (0, "")

@@ -52,9 +52,6 @@ def test_every_key_of_a_campaign_has_a_row_with_a_meaning() -> None:
         ("services[@request]/service", "set_contactor", "docking_node servo_node workshop"),
         ("services[@request]/service", "docking_node/get_parameters", "docking_recorder_node fleet workshop"),
         ("services[@request]/service", "docking_node/set_parameters", "workshop"),
-        ("topics[@subscribe]/topic", "target_battery", "fleet workshop"),
-        ("services[@reply]/service", "predict_misalignment", "misalignment_node"),
-        ("actions[@execute]/action", "dock", "docking_node"),
         ("actions[@call]/action", "dock", "mission_node fleet workshop"),
     ],
 )

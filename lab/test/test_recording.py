@@ -52,16 +52,6 @@ def commanded(data: Dataset) -> Any:
     return np.column_stack([data.horizontal, data.vertical, data.angle])
 
 
-@pytest.mark.rest
-def test_one_seed_gives_one_recording_to_the_bit() -> None:
-    part = SMALL.parts()[3]
-    loads = [touch.frames for touch in record_part(SMALL, part)]
-    again = [touch.frames for touch in record_part(SMALL, part)]
-    other = [touch.frames for touch in record_part(dataclasses.replace(SMALL, seed=5), part)]
-    np.testing.assert_array_equal(loads, again)
-    assert not np.array_equal(np.nan_to_num(loads), np.nan_to_num(other))
-
-
 def test_a_docking_that_fails_three_times_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     blind = recording._seen
     monkeypatch.setattr(recording, "_seen", lambda *words: dataclasses.replace(blind(*words), success=False))

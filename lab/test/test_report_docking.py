@@ -46,18 +46,6 @@ def test_a_rate_at_its_bound_has_at_most_this_count_in_one_of_twenty_campaigns(h
     assert math.isnan(upper_bound(0, 0))
 
 
-def test_bins_have_every_docking_of_either_sign_once() -> None:
-    every = rows(400)
-    every["degrees"] = np.linspace(0.0, 20.0, 400)
-    every["charged"] = every["degrees"] < 9.5
-    every["code_name"] = np.where(every["charged"], "NONE", "CRITICAL_ANGLE")
-    bins = docking_summary.by_angle(every)
-    assert sum(each["n"] for each in bins) == 400
-    assert [each["share"] for each in bins if each["high"] <= 9.0] == [1.0] * 5
-    assert sum(sum(each["refused"].values()) for each in bins) == np.sum(~every["charged"])
-    assert docking_summary.columns({"place_roll": [-0.1, 0.1]})["degrees"] == pytest.approx([math.degrees(0.1)] * 2)
-
-
 @pytest.mark.parametrize(
     ("scene", "changes", "missed"),
     [

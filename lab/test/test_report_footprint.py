@@ -4,63 +4,19 @@
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import psutil
 import pytest
 
 from deltacharger_lab.reports.footprint import measure as footprint
 from deltacharger_lab.reports.footprint import report as footprint_report
 from deltacharger_lab.reports.footprint.measure import ONE, SEPARATE
 from deltacharger_scenes.scene import load_scene, packaged_scenes
-from test.chargers import wait_until
 
 pytestmark = [
     pytest.mark.ros,
     pytest.mark.skipif(bool(footprint.unsupported()), reason="only Linux reports what a process uses"),
 ]
-MEGA = 1_000_000
-PAUSE = "\nimport sys\nprint('ready', flush=True)\nsys.stdin.read()"
-
-Child = Callable[[str], "subprocess.Popen[str]"]
-
-
-@pytest.fixture
-def child() -> Iterator[Child]:
-    """Start Python code that prints 'ready' and then waits; it ends with the test."""
-    running: list[subprocess.Popen[str]] = []
-
-    def start(code: str) -> subprocess.Popen[str]:
-        command = [sys.executable, "-c", code + PAUSE]
-        running.append(subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True))
-        assert running[-1].stdout is not None
-        assert running[-1].stdout.readline() == "ready\n"
-        return running[-1]
-
-    yield start
-    for each in running:
-        each.kill()
-        each.communicate()
-
-
-@pytest.mark.rest
-def test_memory_threads_and_children_of_a_process_are_counted(child: Child) -> None:
-    plain = child("")
-    heavy = child("import threading\nheld = b'x' * 50_000_000\nthreading.Thread(target=input, daemon=True).start()")
-    begun = child("import subprocess, sys\np = subprocess.Popen([sys.executable, '-c', 'input()'], stdin=-1)")
-    alone, more = (footprint.usage([each.pid]) for each in (plain, heavy))
-    for key in ("pss", "rss"):
-        assert getattr(more, key) - getattr(alone, key) == pytest.approx(50 * MEGA, abs=3 * MEGA)
-    assert (alone.processes, alone.threads, more.threads) == (1, 1, 2)
-    assert len(footprint.family([begun.pid])) == 2
-    wait_until(lambda: footprint.usage([plain.pid, begun.pid]).processes == 3, "all")
-    plain.kill()
-    wait_until(lambda: psutil.Process(plain.pid).status() == psutil.STATUS_ZOMBIE, "its end")
-    with pytest.raises(psutil.NoSuchProcess, match=str(plain.pid)):
-        footprint.usage([plain.pid])
 
 
 def test_a_scene_is_measured_or_left_out_with_a_reason(tmp_path: Path) -> None:

@@ -11,39 +11,12 @@ import numpy as np
 import pytest
 
 from deltacharger_lab.reports.pool import ReportFailed, ReportTask, work
-from deltacharger_lab.reports.tactile import plan as tactile_plan
 from deltacharger_lab.reports.tactile import second
 from deltacharger_lab.reports.tactile.report import FIRES, HOLDS, NEITHER, shifts
-from deltacharger_lab.training.estimator import TrainablePoseEstimator, to_seat
+from deltacharger_lab.training.estimator import to_seat
 from deltacharger_sim.pads import generate_continuous
 from deltacharger_tactile.classifiers.classifier import Classifier
 from deltacharger_tactile.estimator import Estimate
-
-KEYS = ("threshold", "frames", "physics")
-PLAN = tactile_plan.quick_plan(1)
-
-
-def refuse(*_: Any, **__: Any) -> None:
-    raise AssertionError("nothing is trained on the second physics")
-
-
-@pytest.mark.rest
-def test_the_pretrained_estimates_are_judged_on_both_and_trained_on_neither(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(TrainablePoseEstimator, "fit", refuse)
-    rows = second.judge_estimates(860, 3, PLAN)
-    keys = {(row["physics"], row["threshold"], row["frames"]) for row in rows}
-    assert keys == {
-        (physics, cut, count) for physics in ("first", "second") for cut in (0.25, 1.0) for count in (12, 1)
-    }
-    summed = {(row["threshold"], row["frames"], row["physics"]): row for row in second.summed(rows * 2, *KEYS)}
-    for (cut, frames, physics), row in summed.items():
-        assert 0 <= row["unsafe"] <= row["acts"] <= row["n"] == 2 * 60
-        if physics == "first":
-            assert summed[cut, frames, "second"]["in_range"] < row["in_range"], "a dead band hides most of a contact"
-    bad = [row | {"unsafe": 3} for row in summed.values()]
-    families = [{"variant": "unchanged", "unsafe": 5}, {"variant": "no lean", "unsafe": 2}]
-    assert second.unsafe(bad, families) == 3 * 4 + 2, "none of the first physics, and no docking twice"
-    assert second.worst_z(summed.values()) == max(summed[0.25, 12, "second"][axis]["z"] for axis in second.AXES)
 
 
 def telling(pose: np.ndarray, stddev: float) -> Any:
