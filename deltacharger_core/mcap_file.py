@@ -30,9 +30,8 @@ _LARGEST_HEAD = 32_768  # bytes of one record at the head of a file, as docking_
 _LARGEST_SUMMARY = 16 * 2**20  # bytes; at 80 bytes a chunk, 200 000 chunks
 _LONGEST = 300  # characters of a reason
 _NAMED_MAX = 5  # files of a folder named in an error
-_ZSTANDARD = b"\x28\xb5\x2f\xfd"  # begins compressed data; CDR begins with 0
 _CONVERT = (
-    "convert a bag in SQLite (db3) or with compressed messages or files (zstd) by `rosbags-convert --src BAG --dst NEW "
+    "convert a bag in SQLite (db3) or compressed files (zstd) by `rosbags-convert --src BAG --dst NEW "
     "--dst-storage mcap` (pip install rosbags)"
 )
 
@@ -86,7 +85,7 @@ class McapFile:
         damage: why the scan stopped early; '' = the file has an index or is complete.
 
     Raises:
-        RecordingError: mcap is not installed, this is no MCAP file, or its messages are compressed one by one.
+        RecordingError: mcap is not installed, or this is no MCAP file.
         OSError: the file cannot be read.
     """
 
@@ -104,8 +103,6 @@ class McapFile:
                 raise RecordingError(f"{path} is empty: its recorder stopped before it wrote anything")
         if not self._read_index():
             self._scan()
-        if self._begins_compressed():
-            raise RecordingError(f"{path} holds compressed messages: {_CONVERT}")
 
     def metadata_named(self, name: str) -> list[dict[str, str]]:
         """Return all metadata with this name."""
@@ -170,14 +167,6 @@ class McapFile:
             if not begun:
                 raise RecordingError(f"{self.path} is no MCAP file: {_CONVERT}") from error
             self.damage = error.reason
-
-    def _begins_compressed(self) -> bool:
-        """Whether the first message is compressed, so that its bytes are not CDR."""
-        try:
-            first = next(self.messages(), None)
-        except DamagedRecording:  # whoever reads it is told
-            return False
-        return first is not None and first.data.startswith(_ZSTANDARD)
 
     def _add_channel(self, channel: Any, schema: Any) -> None:
         self.types.setdefault(channel.topic, schema.name if schema else "")

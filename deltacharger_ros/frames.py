@@ -133,7 +133,9 @@ class TfTree:
         """Move new messages into the buffer."""
         now = int(self._node.get_clock().now().nanoseconds)
         if self._buffer is None:
-            self._buffer = _new_buffer()
+            from tf2_ros import Buffer
+
+            self._buffer = Buffer()
         if now < self._last - _SET_BACK:
             self._buffer.clear()  # static transforms stay
             self._left_out.clear()
@@ -217,17 +219,6 @@ class TfTree:
             return "it knows none: nothing publishes to /tf or /tf_static in this domain"
         near = difflib.get_close_matches(frame, known, _NAMED, 0.0)
         return f"it knows {len(known)}, such as {', '.join(near)}"
-
-
-def _new_buffer() -> Any:
-    try:
-        from tf2_ros import Buffer
-    except ImportError as error:
-        raise TransformError(
-            f"tf2_ros is installed but cannot be loaded ({error}): reinstall it and tf2_py; poses in charger_base "
-            "need no tf"
-        ) from error
-    return Buffer()
 
 
 def _numbers(found: Any) -> Pose:

@@ -71,19 +71,3 @@ def test_a_middleware_that_is_not_installed_is_named(
     monkeypatch.setenv("RMW_IMPLEMENTATION", chosen)
     text = "RMW_IMPLEMENTATION is 'rmw_cyclonedds_cpp', which is not installed; unset it, or choose rmw_fastrtps_cpp"
     assert environment.problem() == (text if chosen == "rmw_cyclonedds_cpp" else "")
-
-
-def test_another_ros_over_that_of_the_virtual_environment_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name in ("own", "other"):
-        (tmp_path / name / "rclpy").mkdir(parents=True)
-        (tmp_path / name / "rclpy" / "__init__.py").touch()
-    monkeypatch.setattr(environment.sysconfig, "get_path", lambda name: str(tmp_path / "own"))
-    monkeypatch.delitem(sys.modules, "rclpy", raising=False)
-    monkeypatch.syspath_prepend(tmp_path / "own")
-    assert environment.problem() == ""
-    monkeypatch.syspath_prepend(tmp_path / "other")
-    problem = environment.problem()
-    assert problem.startswith(f"another ROS is sourced: rclpy comes from {tmp_path / 'other'}, not from")
-    assert "start in a new shell" in problem

@@ -3,12 +3,9 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import signal
 from pathlib import Path
-
-import pytest
 
 from deltacharger_core import files
 
@@ -39,20 +36,3 @@ def test_a_link_is_followed_and_a_pipe_is_written_to(tmp_path: Path) -> None:
     files.write_text(tmp_path / "pipe", "through")
     assert os.read(reader, 100) == b"through"
     os.close(reader)
-
-
-def test_a_disk_without_sync_is_accepted_and_a_failing_one_is_an_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(number: int) -> None:
-        def fsync(_descriptor: int) -> None:
-            raise OSError(number, os.strerror(number))
-
-        monkeypatch.setattr(os, "fsync", fsync)
-
-    refuse(errno.EINVAL)
-    files.append_text(tmp_path / "f", "one\n")
-    refuse(errno.EIO)
-    with pytest.raises(OSError, match=os.strerror(errno.EIO)):
-        files.write_text(tmp_path / "f", "two\n")
-    assert (tmp_path / "f").read_text() == "one\n"

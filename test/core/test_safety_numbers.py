@@ -328,12 +328,6 @@ def opens(age: float, seconds: float = 0.5, **changes: Any) -> bool:
     return False
 
 
-def locates(**detection: Any) -> bool:
-    shared = scene()
-    found = ElectrodePose(**{"position": DOCK, "roll": 0.0} | detection)
-    return passes(lambda: answered(algorithm.locate(shared), shared, detection=found))
-
-
 def rolls(roll: float, sigma: float = 0.0) -> bool:
     seen = ElectrodePose(DOCK, roll * DEGREE, sigma * DEGREE)
     return passes(algorithm.check_roll, scene(), seen, 12.0 * DEGREE)
@@ -368,14 +362,6 @@ def blinds(**changes: Any) -> bool:
     return charges_on(*[estimate(**changes)] * 3)
 
 
-def looks(**changes: Any) -> bool:
-    """Return whether the arm may press live electrodes (power: none) after this first estimate."""
-    shared = scene()
-    shared.parameters = shared.planner.parameters = replace(PARAMETERS, power="none")
-    script = touch.look(shared, touch.Target(shared, 12.0 * DEGREE))
-    return answered(script, shared, estimate=estimate(**changes)) is None
-
-
 TILTED = estimate(angle=11.8 * DEGREE)
 ANSWERS = (
     *fields(energises, NAN, (INF, -INF, 2000.0, 0.0), "resistance"),
@@ -387,10 +373,6 @@ ANSWERS = (
     Limit("report after opening, s", lambda v: opens(v), 0.3, 0.5),
     Limit("current after opening, A", lambda v: opens(0.0, charge_current=v), 0.49, 0.51, (-0.51, INF)),
     Limit("contactor after opening", lambda v: opens(0.0, contactor_closed=v), False, True, ()),
-    *fields(locates, 0.99, (1.01, INF, NAN), "age"),
-    *fields(locates, 0.1, (NAN, INF), "roll"),
-    *fields(locates, NAN, (INF, -INF), "yaw", "pitch"),
-    Limit("unknown place", lambda v: locates(position=without(DOCK, v)), None, 0, (1, 2)),
     Limit("roll, °", rolls, 11.9, 12.1, (-12.1, NAN, INF)),
     Limit("roll's σ, °", lambda v: rolls(10.0, v), 0.99, 1.01, (NAN, INF)),
     Limit("yaw, °", lambda v: leans(1.0, yaw=v), 6.9, 7.1, (-7.1, INF)),
@@ -400,7 +382,6 @@ ANSWERS = (
     Limit("checks without clearance", lambda v: charges_on(*[TILTED] * v), 1, 2, ()),
     *fields(blinds, 0.001, (NAN, INF), *POSES),
     *fields(blinds, True, (False,), "contact", "sure", "in_range"),
-    Limit("unsure first touch, °", lambda v: looks(sure=False, angle=v * DEGREE), 11.9, 12.1, (-12.1,)),
 )
 
 
@@ -499,11 +480,6 @@ def test_faults_have_the_numbers_of_the_wire_and_the_codes_of_docking() -> None:
     assert found == {number: 500 + number for number in range(1, 8)} | {8: 503, 9: 303}
 
 
-def reads_power(**changes: float) -> bool:
-    values = {"battery": 26.0, "target": 24.0, "current": 1.0, "closed": 0, "fault": 0, "zero": 0, "least": 1.0}
-    return passes(protocol.decode_power, struct.pack("<fffBBHf", *(values | changes).values()))
-
-
 BOARD = (
     Limit("lease, s", leases, 0.01, 0.0, (-0.1, NAN)),
     Limit("longest lease, s", lambda v: leases(9.0, v), 0.249, 0.251),
@@ -537,9 +513,6 @@ BOARD = (
     *fields(clears_weld, 0.49, (0.51, -0.51, NAN), "charge_current"),
     *fields(clears_weld, 4.9, (5.1, -5.1, INF), "target_voltage"),
     *fields(clears_weld, False, (True,), "contactor_closed"),
-    *fields(reads_power, NAN, (INF, -INF), "battery", "target", "current"),
-    *fields(reads_power, 1, (2, 255), "closed"),
-    *fields(reads_power, 9, (10, 255), "fault"),
 )
 
 
@@ -608,20 +581,6 @@ SERVOS = (
 )
 
 
-# The pads.
-
-
-def averages(age: float = 0.0, tared: bool = True) -> bool:
-    frame = perception.Frame(10.0 - age, None, 1, tared, np.zeros((10, 10)), np.zeros((10, 10)))
-    return passes(perception.FrameWindow(lambda: 10.0).average, [frame], 0.1)
-
-
-PADS = (
-    *fields(averages, 0.09, (0.11, -0.11, INF, NAN), "age"),
-    *fields(averages, True, (False,), "tared"),
-)
-
-
 # The camera, and where things are.
 
 
@@ -666,7 +625,7 @@ SETTINGS = (
 )
 
 
-ROWS = (*CLEARANCE, *OBSERVATION, *ANSWERS, *BOARD, *SERVOS, *PADS, *CAMERA, *SETTINGS)
+ROWS = (*CLEARANCE, *OBSERVATION, *ANSWERS, *BOARD, *SERVOS, *CAMERA, *SETTINGS)
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: f"{row.what} {row.inside}")

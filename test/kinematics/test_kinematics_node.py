@@ -150,7 +150,6 @@ def test_the_wrench_is_the_targets_reaction_without_the_arms_weight(
     [
         ({}, (1, 1)),
         ({"valid": [True, False, True]}, (0, 0)),
-        ({"valid": []}, (0, 0)),
         ({"position": [math.nan, 0.0, 0.0]}, (0, 0)),
         ({"current": [math.nan, 0.1, 0.1]}, (1, 0)),
         ({"torque_enabled": [True, True, False]}, (1, 0)),
@@ -201,7 +200,6 @@ def test_a_geometry_file_sets_each_limb(context: Any, geometry_file: str) -> Non
         ({}, "arms: 0.1", r"bad\.yaml.*'arm'"),
         ({}, "arm: 100.0", r"bad\.yaml.*'arm': 100.0 is outside.*millimetres"),
         ({"geometry_file": "nowhere/arm.yaml"}, "", "'geometry_file'.*nowhere/arm.yaml"),
-        ({"geometry_file": "", "gravity": [0.0, -9.81]}, "", "gravity"),
     ],
 )
 def test_impossible_parameters_and_a_geometry_file_that_is_refused_or_contradicted_stop_the_node(
@@ -210,6 +208,6 @@ def test_impossible_parameters_and_a_geometry_file_that_is_refused_or_contradict
     bad = Path(geometry_file).with_name("bad.yaml")
     bad.write_text(content)
     given = {"geometry_file": str(bad) if content else geometry_file, **parameters}
-    for kind in (KinematicsNode,) if "gravity" in given else (KinematicsNode, DockingNode):
+    for kind in (KinematicsNode, DockingNode):
         with pytest.raises(StartupError, match=reason):
             kind(**options(context, new_namespace(), **given))

@@ -12,7 +12,6 @@ from contextlib import contextmanager
 from typing import Any
 
 import pytest
-from builtin_interfaces.msg import Time as Stamp
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 
@@ -24,7 +23,7 @@ from deltacharger_ros.frames import Contradiction, Frames, TransformError, Unkno
 
 from ..chargers import DEADLINE, Spin, wait_until
 from ..nodes import options
-from ..transforms import Robot, stamp, transforms
+from ..transforms import Robot, stamp
 from ..waiting import host
 
 pytestmark = pytest.mark.ros
@@ -215,19 +214,6 @@ def test_the_default_is_not_used_while_tf_may_still_arrive(robot: Robot, make: M
         assert not isinstance(refusal.value, UnknownFrame)
         robot.fix("base_link", "charger_base", MOUNT)
     assert close(found[0], MOUNT)
-
-
-def test_a_transform_with_an_invalid_stamp_hides_no_other(robot: Robot, make: Make) -> None:
-    frames = make()
-    robot.move(("map", "base_link", MOUNT), when=time.time() + 3600.0)
-    ancient = robot._message("map", "base_link", MOUNT, 0.0)
-    ancient.header.stamp.sec = -1
-    for publisher in (robot._moving, robot._fixed):
-        publisher.publish(transforms().TFMessage(transforms=[ancient]))
-    robot.move(("map", "base_link", IDENTITY))
-    await_pose(frames, "map")
-    with pytest.raises(TransformError, match="stamp is negative"):
-        frames.charger_base_in("map", Stamp(sec=-1))
 
 
 def test_after_its_clock_went_back_only_static_transforms_stay(robot: Robot, make: Make) -> None:
