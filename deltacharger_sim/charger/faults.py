@@ -220,7 +220,7 @@ KINDS: dict[str, Kind] = {
     "servo_duplicate_id": Kind(
         "the servo takes the id `amount`, and replies of both collide", _register, ("id",), True, ONE, _ID
     ),
-    "servo_deaf": Kind("nothing reaches the servos; they stop after 0.12 s", _wire, ("servos", "deaf")),
+    "servo_deaf": Kind("nothing reaches the servos; they stop after 0.26 s", _wire, ("servos", "deaf")),
     "servo_delay": Kind("replies of the servos arrive `amount` s late", _wire, ("servos", "delay"), amount=_DELAY),
     "servo_unplugged": Kind("the servo port disappears", _unplugged, ("servo",)),
     "board_reboot": Kind("the board boots, in `amount` s", _board_moment, ("reboot",), False, amount=_BOOT),
