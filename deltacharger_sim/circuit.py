@@ -315,7 +315,7 @@ class Circuit:
 
 
 TARGET_KINDS: Mapping[str, Mapping[str, Any]] = read_yaml(environment.config("target_kinds.yaml")[0])
-"""Kinds of charging ports, by name, in the order of docs/targets.md."""
+"""Kinds of charging ports, by name."""
 
 
 def usual_port(number: int) -> dict[str, float]:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Accuracy of the geometry calibration: random arms are measured, fitted and compared with the truth.
 
-python lab/benchmarks/calibration.py                  the table of docs/calibration.md, about three minutes
+python lab/benchmarks/calibration.py                  errors before and after, about three minutes
 python lab/benchmarks/calibration.py --example FILE   one drawn arm as a file of measurements, as in docs/calibration.md
 """
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Accuracy of the servo calibration: random arms in virtual time, compared with the truth.
 
-python lab/benchmarks/servos.py                       the table of docs/servo-calibration.md: 50 arms, about two minutes
+python lab/benchmarks/servos.py                       what docs/servo-calibration.md states: 50 arms, two minutes
 python lab/benchmarks/servos.py --arms 400            enough to judge the standard errors
 """
 

@@ -32,8 +32,7 @@ COMPLIANCES = (0.01, 0.02, 0.03)  # rad/(N·m), of the platform
 LIFTS = {3e4: ("5.7", "5.7"), 1e5: ("3.0", "3.8"), 3e5: ("1.3", "2.1"), 1e6: ("0.7", "1.5")}
 """Degrees of pitch from which a complete bar lifts, by its spring (N/m): at 0.01 and at 0.03 rad/(N·m).
 
-From the light model at rest (docs/reports/simulation.md, frozen); 5.7° is the largest lean of a world.
-docs/simulation.md has the values of 1e5 and 1e6 N/m."""
+From the light model at rest (docs/reports/simulation.md, frozen); 5.7° is the largest lean of a world."""
 
 
 class LeanLimits(NamedTuple):
