@@ -16,7 +16,7 @@ if(NOT alone)
 endif()
 
 set(tests core kinematics driver tactile vision docking mission sim records scenes bringup ros firmware
-  test_build_venv.py test_docs.py test_imports.py test_packaging.py)
+  test_docs.py test_imports.py test_packaging.py)
 foreach(test ${tests})
   string(REGEX REPLACE "^test_|[.]py$" "" name ${test})
   ament_add_pytest_test(${name} test/${test} TIMEOUT 1800 ENV "PYTEST_ADDOPTS=${selection}"

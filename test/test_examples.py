@@ -86,12 +86,6 @@ def test_a_goal_is_sent_to_the_charger_that_runs(tmp_path: Path, monkeypatch: py
         assert charger.end(signal.SIGINT) == 130
 
 
-@pytest.mark.parametrize("name", ["send_a_goal.py", "charge_robot.py"])
-def test_clients_to_copy_need_the_interfaces_alone(name: str) -> None:
-    imported = re.findall(r"^ *(?:import|from) (\w+)", (EXAMPLES / name).read_text(encoding="utf-8"), re.MULTILINE)
-    assert set(imported) - sys.stdlib_module_names == {"rclpy", "deltacharger"}
-
-
 def test_the_file_for_real_hardware_is_a_scene() -> None:
     scene = load_scene(str(EXAMPLES / "charger.yaml"))
     assert scene.touches_hardware

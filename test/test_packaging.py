@@ -4,10 +4,7 @@
 from __future__ import annotations
 
 import importlib
-import json
-import os
 import re
-import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
@@ -19,10 +16,6 @@ from catkin_pkg.package import parse_package_string
 
 from deltacharger_bringup.cli import main as cli
 from deltacharger_scenes import executables
-from deltacharger_scenes.scene import load_scene
-
-from . import libraries
-from .waiting import DEADLINE
 
 ROOT = Path(__file__).resolve().parents[1]
 LICENCE = "SPDX-License-Identifier: Apache-2.0"
@@ -82,10 +75,6 @@ def test_without_extras_rosdep_installs_what_docking_by_coordinates_needs() -> N
     assert set(HARD.values()) <= asked_for()
     assert {name: asked_for(name) - asked_for() for name in EXTRAS} == {name: {key} for name, key in EXTRAS.items()}
     assert asked_for("all") - asked_for() == extras
-    bench, rgbd = (set().union(*map(libraries.of, load_scene(scene).nodes)) for scene in ("bench", "rgbd"))
-    modules = {"serial": "python3-serial", "tf2_ros": "tf2_ros_py"}  # its key has another name
-    assert {modules.get(library, library) for library in bench} <= asked_for()
-    assert rgbd - bench == {"cv2"}, "the packages of DELTACHARGER_EXTRAS=vision"
 
 
 def test_optional_libraries_are_imported_only_when_needed() -> None:
@@ -140,27 +129,6 @@ def test_every_executable_exists() -> None:
     assert nodes == set(modules)
     for module in modules.values():
         assert "\ndef main(" in (ROOT / (module.replace(".", "/") + ".py")).read_text("utf-8"), module
-
-
-def test_the_container_becomes_its_command_once_the_workspace_is_sourced(tmp_path: Path) -> None:
-    lines = (ROOT / "config" / "container" / "Dockerfile").read_text(encoding="utf-8").splitlines()
-    said = dict(line.split(" ", 1) for line in lines if line and line[0] != "#")
-    copied, place = said["COPY"].split()  # the last one
-    ((entry,), words) = (json.loads(said[name]) for name in ("ENTRYPOINT", "CMD"))
-    assert (entry, said["STOPSIGNAL"]) == (place + Path(copied).name, "SIGINT")
-    assert f"{words[0]} = " in (ROOT / "setup.cfg").read_text(encoding="utf-8")
-    (tmp_path / "bin").mkdir()
-    (tmp_path / "install").mkdir()
-    setup, command = tmp_path / "install" / "setup.bash", tmp_path / "bin" / words[0]
-    command.write_text('#!/bin/sh\necho $$ $SOURCED "$@"\n')
-    command.chmod(0o755)
-    for last, code in (("true", 0), ("false", 1)):
-        setup.write_text(f'export PATH="{tmp_path}/bin:$PATH" SOURCED=yes\n{last}\n')
-        variables = {"PATH": os.defpath, "WORKSPACE": str(tmp_path), "ROS_DISTRO": "none"}
-        container = subprocess.Popen([ROOT / copied, *words], stdout=subprocess.PIPE, text=True, env=variables)
-        out, _ = container.communicate(timeout=DEADLINE)
-        assert container.returncode == code
-        assert out.split() == ([str(container.pid), "yes", *words[1:]] if code == 0 else [])
 
 
 def test_every_source_begins_with_the_licence() -> None:

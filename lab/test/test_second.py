@@ -28,7 +28,6 @@ from test.marks import rest
 from test.sim.test_tilt import yawed_target_comes_nearer_on_that_side_and_loads_that_pad
 from test.tactile.test_contact import (
     batch_equals_its_single_contacts,
-    first_touch_builds_no_model,
     poses,
     seeds_determine_readings_and_force_is_read_only_in_contact,
 )
@@ -216,10 +215,9 @@ def test_a_data_set_has_the_first_poses_and_new_readings(count: int) -> None:
     assert fresh.meta["digest"] == SecondParameters().digest() != TactileParameters().digest()
 
 
-def test_it_has_the_laws_of_the_first_physics(arm: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_has_the_laws_of_the_first_physics(arm: Callable[..., Any]) -> None:
     batch_equals_its_single_contacts(lambda pose: MODEL.solve(pose, 60.0, ridges=RIDGES).taxels, 1e-3)
     assert not MODEL.solve((0.0, 0.05, 0.0), 60.0).taxels.any()
     assert not MODEL.solve((0.0, 0.0, 0.0), 0.0).taxels.any()
     seeds_determine_readings_and_force_is_read_only_in_contact(SecondSource, 5.0)
     yawed_target_comes_nearer_on_that_side_and_loads_that_pad(arm, SecondSource, 0.0)
-    first_touch_builds_no_model(SecondSource, monkeypatch)

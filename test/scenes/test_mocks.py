@@ -11,8 +11,6 @@ from deltacharger_core.machine import (
     SERVO_STIFFNESS,
     TORQUE_CONSTANT,
     ChargeLimits,
-    Port,
-    port_of,
 )
 from deltacharger_driver.board.contactor import LeaseRefused
 from deltacharger_kinematics.scalar import ScalarDelta
@@ -69,10 +67,3 @@ def test_current_flows_only_while_leased_and_in_contact() -> None:
     assert not power.closed
     with pytest.raises(LeaseRefused, match="probe"):
         power.close("docking", 0.25, 0.26, limits=LIMITS)
-
-
-@pytest.mark.parametrize(
-    ("contact", "short", "port"), [(True, False, Port.LIVE), (False, True, Port.OPEN), (True, True, Port.SHORT)]
-)
-def test_the_probe_finds_a_live_port_unless_the_mock_misbehaves(contact: bool, short: bool, port: Port) -> None:
-    assert port_of(*MockPower().probe(0.0, contact, short)) is port

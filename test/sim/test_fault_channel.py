@@ -16,7 +16,6 @@ import pytest
 from deltacharger_sim.charger.fault_channel import ControlServer, answer, ask
 from deltacharger_sim.charger.faults import KINDS, Faults, Hardware
 
-from ..bringup.command import run
 from ..driver.board_bench import Bench
 from ..driver.servo_host import Host
 from ..waiting import wait_until
@@ -129,10 +128,3 @@ def test_an_invalid_line_is_refused_and_the_next_one_is_served(
     with contextlib.suppress(OSError), connected(place, sent) as client:
         assert noun in json.loads(client.makefile("rb").readline())["error"]
     assert ask(place, {"command": "active"}, BOUND) == {"success": True, "active": []}
-
-
-def test_another_answering_program_is_reported(served: Any, capsys: pytest.CaptureFixture[str]) -> None:
-    served(lambda request: {"success": True, "active": [{"kind": "board_drop"}]})
-    code, out, err = run(capsys, "fault", "--clear", "--directory", ".")
-    assert (code, out) == (1, "")
-    assert "not a charger" in err

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from deltacharger_core.machine import STALL_TORQUE, TORQUE_CONSTANT
-from deltacharger_kinematics.geometry import DeltaGeometry, LimbAdjustment, Vector
+from deltacharger_kinematics.geometry import DeltaGeometry, LimbAdjustment
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_sim.mechanics import Linkage
 from deltacharger_sim.parameters import (
@@ -30,23 +30,7 @@ SWINGING = plain_servo(friction=0.0, viscosity=0.02, damping=0.0)
 LIMP = plain_servo(friction=0.0, unpowered_friction=0.0)
 NO_MAGNETS = MagnetParameters(force=0.0)
 NO_TARGET = TargetParameters(present=False)
-POINTS = ((0.0, 0.0, 0.07), (0.0, 0.0, 0.0865), (0.006, 0.003, 0.0865), (0.0, 0.0, 0.05))
 ArmFactory = Callable[..., Any]
-
-
-def course(arm: Any, points: tuple[Vector, ...] = POINTS, seconds: float = 0.4) -> list[Vector]:
-    """Every position of the platform on its way along commands."""
-    places = []
-    for point in points:
-        arm.aim(point)
-        for _ in range(round(seconds / arm.step)):
-            arm.world.step(arm.step)
-            places.append(arm.world.mechanics.position)
-    return places
-
-
-def apart(first: list[Vector], second: list[Vector]) -> float:
-    return max(math.dist(a, b) for a, b in zip(first, second, strict=True))
 
 
 def test_its_gears_friction_carries_the_arm_without_power_and_little_friction_lets_it_sink(arm: ArmFactory) -> None:
@@ -139,33 +123,6 @@ def test_the_force_is_the_sum_of_servos_and_magnets(arm: ArmFactory, offset: flo
     assert pressing.contact_current * 38.4 == pytest.approx(world.push(), abs=2.7)
 
 
-def test_the_current_bound_caps_the_push_and_soft_electrodes_bottom_at_their_stop(arm: ArmFactory) -> None:
-    pressing = arm(WorldParameters(servo=SLIPPERY, gravity_y=0.0))
-    pressing.dock()
-    pressing.go((0.0, 0.0, 0.105), 1.0, bound=0.6)
-    assert 20.0 < pressing.world.push() < 0.6 * 38.4 + 0.1
-    soft = arm(WorldParameters(contact=ContactParameters(stiffness=1e3)))
-    soft.dock(0.010)
-    assert 0.002 < -soft.world.mechanics.gap < 0.0022
-
-
-def test_lateral_force_stays_in_the_friction_cone(arm: ArmFactory) -> None:
-    still = arm(WorldParameters(servo=SLIPPERY, magnets=NO_MAGNETS, gravity_y=0.0))
-    still.dock()
-    mechanics, rest = still.world.mechanics, still.world.mechanics.position
-    slid = False
-    for side in range(1, 15):
-        still.go((0.003 * side, 0.0, 0.0865), 0.3)
-        force = still.delta.force(*mechanics.position, mechanics.torques)
-        lateral = math.hypot(force[0], force[1])
-        assert lateral <= 0.3 * mechanics.contact_force + 0.01
-        moved = mechanics.position[0] - rest[0]
-        if lateral < 0.28 * mechanics.contact_force:
-            assert moved < 2e-4  # it sticks: only the bristles yield
-        slid = slid or moved > 1e-3
-    assert slid
-
-
 @pytest.mark.parametrize(("step", "lateral"), [(0.001, 0.0), (0.05, 0.02)])
 def test_energy_never_grows_in_free_fall_onto_target_and_stops(arm: ArmFactory, step: float, lateral: float) -> None:
     falling = arm(WorldParameters(servo=LIMP, magnets=NO_MAGNETS, gravity_y=-4.0, gravity_z=6.0), step)
@@ -207,18 +164,6 @@ def test_gears_take_their_friction_and_a_share_of_the_torque_from_a_push(arm: Ar
     mechanics = pressing.world.mechanics
     left = 0.8 * mechanics.torques[0] - 0.1
     assert mechanics.contact_force == pytest.approx(left / DELTA.jacobian(*mechanics.position)[6], rel=1e-4)
-
-
-def test_a_third_of_a_turn_changes_nothing_but_the_names_of_the_limbs(arm: ArmFactory) -> None:
-    cosine, sine = -0.5, math.sqrt(0.75)
-
-    def turned(point: Vector) -> Vector:
-        return cosine * point[0] - sine * point[1], sine * point[0] + cosine * point[1], point[2]
-
-    straight = course(arm(WorldParameters(servo=SLIPPERY, gravity_y=0.0)))
-    around = course(arm(WorldParameters(servo=SLIPPERY, gravity_y=0.0)), tuple(turned(point) for point in POINTS))
-    # The magnets follow a lateral move of each axis in steps of 1 µm.
-    assert apart([turned(place) for place in straight], around) < 2e-7
 
 
 def test_at_rest_the_world_stands_exactly_still_until_a_new_command(arm: ArmFactory) -> None:

@@ -14,7 +14,6 @@ from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_ros.node_support import StartupError
 from deltacharger_sim.charger.simulated_camera_node import SimulatedCameraNode
 from deltacharger_vision.cameras.ros_formats import color_array, depth_array
 from deltacharger_vision.hand_eye.board import Board
@@ -92,20 +91,3 @@ def test_the_platform_and_a_board_on_it_are_drawn_at_the_servos_position(
     viewer.arm_at(0.0, 0.0, 0.03)
     wait_until(lambda: np.abs(viewer.color().astype(float) - without).mean() > 5.0, "the platform in the picture")
     wait_until(lambda: Board(tag=7).detect(viewer.color()) is not None, "the tag in the picture")
-
-
-@pytest.mark.parametrize(
-    ("values", "words"),
-    [
-        ({"board": "apriltag:36h11:9999"}, "36h11"),
-        ({"board": "chess"}, "board"),
-        ({"mount": [0.0] * 7}, "length"),
-        ({"rate": 0.0}, "rate"),
-        ({"targett": 1.0}, "did you mean"),
-    ],
-)
-def test_invalid_parameters_stop_it_at_the_start(
-    context: Any, namespace: str, values: dict[str, Any], words: str
-) -> None:
-    with pytest.raises(StartupError, match=words):
-        SimulatedCameraNode(**options(context, namespace, **values))

@@ -9,7 +9,6 @@ import signal
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -17,7 +16,6 @@ import serial
 
 from deltacharger_driver.packets import PING, instruction_packet
 from deltacharger_scenes.scene import parse_scene
-from deltacharger_sim.charger.faults import KINDS, FaultOrder, Hardware
 from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 from deltacharger_sim.charger.simulation import Simulation
 
@@ -65,22 +63,6 @@ def test_a_scenes_faults_begin_and_end_on_schedule(tmp_path: Path) -> None:
         wait_until(lambda: answer(charger.servo_port, 2), "servo 2 back")
         faults.clear()
         wait_until(path.exists, "the port to come back")
-
-
-def test_a_failing_fault_is_logged_and_the_others_occur(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    def fail(hardware: Hardware, order: FaultOrder, *given: object) -> None:
-        raise OSError("no such cable")
-
-    monkeypatch.setitem(KINDS, "servo_unplugged", replace(KINDS["servo_unplugged"], apply=fail))
-    with SimulatedCharger(simulated(faults=[{"kind": "servo_unplugged"}, {"kind": "board_silent"}])) as charger:
-        faults = charger.faults
-        assert faults is not None
-        wait_until(faults.active, "the fault after the one that fails")
-        assert [each["kind"] for each in faults.active()] == ["board_silent"]
-    assert "servo_unplugged" in caplog.text
-    assert "no such cable" in caplog.text
 
 
 def test_it_waits_until_its_hosts_are_quiet_and_knows_when_its_board_received_a_byte(tmp_path: Path) -> None:

@@ -210,19 +210,6 @@ def settled(arm: Any, *gains: float) -> Any:
 
 
 class TestGains:
-    def test_an_equal_gain_of_all_servos_equals_another_stiffness(self, arm: ArmFactory) -> None:
-        """In a strike and a press on the target."""
-        found: list[tuple[float, ...]] = []
-        for stiffness, gain in ((10.0, 1.5), (15.0, 1.0)):
-            struck = arm(WorldParameters(servo=plain_servo(stiffness=stiffness, current_noise=0.0)))
-            for z in (0.070, 0.088, 0.060):
-                for index, angle in enumerate(arm.delta.inverse(0.0, 0.002, z)):  # type: ignore[attr-defined]
-                    struck.world.command(index, True, angle, 4.1, gain)
-                struck.run(0.5)
-            mechanics, record = struck.world.mechanics, struck.world.record
-            found.append((*mechanics.position, *mechanics.torques, record.peak_force, record.peak_push))
-        assert found[0] == pytest.approx(found[1], rel=1e-6, abs=1e-9)
-
     def test_each_servo_has_its_own_gain_also_if_it_changes_at_rest(self, arm: ArmFactory) -> None:
         resting = arm(WorldParameters(servo=QUIET, target=ALONE))
         assert settled(resting, 1.0, 1.0, 1.0) == pytest.approx([15.0] * 3, rel=1e-4)

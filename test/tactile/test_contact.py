@@ -137,16 +137,6 @@ def test_seeds_determine_readings_and_force_is_read_only_in_contact() -> None:
     seeds_determine_readings_and_force_is_read_only_in_contact(ContactSource, 60.0)
 
 
-def first_touch_builds_no_model(kind: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    source = kind()
-    monkeypatch.setattr(f"{kind.__module__}._model", None)  # it takes longer than emulated servos may be silent
-    assert np.nansum(source.sample(0.0, (0.0, 0.0, 0.05), 15.0)) > 10.0
-
-
-def test_the_first_touch_builds_no_model(monkeypatch: pytest.MonkeyPatch) -> None:
-    first_touch_builds_no_model(ContactSource, monkeypatch)
-
-
 # Data sets and models store this digest: a changed default needs a new model and new figures in docs/tactile.md.
 FROZEN_DEFAULTS = "a9414fdef7f55adb"
 FROZEN = json.loads((Path(deltacharger_tactile.__file__).parent / "frozen.json").read_text())
@@ -157,16 +147,6 @@ def test_the_defaults_match_the_frozen_parameters() -> None:
     assert json.loads(TactileParameters().to_json()) == FROZEN["parameters"]
     assert default_model().about["parameters"] == FROZEN_DEFAULTS
     assert TactileParameters().docking.position_jitter == DOCKING_JITTER
-
-
-def test_the_continuous_protocol_is_signed_and_jittered() -> None:
-    data = generate_continuous(rigs=(6,), count=300, seed=1)
-    assert set(data.subset) == {-1}
-    assert data.angle.min() < -0.3 < 0.3 < data.angle.max()
-    jitter = data.contact_pose - np.column_stack([data.horizontal, data.vertical, data.angle])
-    assert np.allclose(jitter.std(axis=0), [1e-3, 1e-3, np.radians(0.19)], rtol=0.2)
-    left, right = data.robot_frames()
-    assert np.array_equal(np.isnan(np.stack([left, right], axis=1)), data.dead)
 
 
 def test_a_seed_determines_the_data_set(tmp_path: Path) -> None:

@@ -16,7 +16,6 @@ from deltacharger.srv import PredictMisalignment
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 
-from deltacharger_ros.node_support import StartupError
 from deltacharger_tactile.calibration.rig import TactileCalibration
 from deltacharger_tactile.errors import FrameError
 from deltacharger_tactile.misalignment_node import MisalignmentNode, to_frame
@@ -128,8 +127,3 @@ def test_a_frame_of_another_shape_is_ignored(context: Any, rows: int, columns: i
     node._receive(message)
     assert not node._window.newest(1)
     node.destroy_node()
-
-
-def test_an_unusable_file_stops_the_start(context: Any) -> None:
-    with pytest.raises(StartupError, match="model"):
-        MisalignmentNode(**options(context, model="/nowhere.npz"))

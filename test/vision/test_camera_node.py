@@ -18,7 +18,6 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
 from deltacharger_core.mcap_file import RecordingError
-from deltacharger_ros.node_support import StartupError
 from deltacharger_vision.cameras.camera_node import CameraNode
 from deltacharger_vision.cameras.oak_pipeline import CameraUnavailable, OakImage
 from deltacharger_vision.cameras.ros_formats import color_array, depth_array, from_camera_info
@@ -107,11 +106,6 @@ def test_an_absent_camera_is_reported_with_its_settings(start: Start, client: An
         lambda: next((each for each in list(statuses) if "no OAK camera found" in each.message), None), "the problem"
     )
     assert (status.level, status.hardware_id) == (DiagnosticStatus.ERROR, "14442C10")
-
-
-def test_wrong_parameters_stop_the_start(start: Start) -> None:
-    with pytest.raises(StartupError, match="exposure_us"):
-        start(rate=60.0, exposure_us=30_000)
 
 
 ANY = CameraTopics()

@@ -15,7 +15,6 @@ import pytest
 from numpy.typing import NDArray
 
 from deltacharger_vision.detector.detector import ElectrodeDetector, annotated
-from deltacharger_vision.detector.observed import Region, fit_plane
 from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
 from deltacharger_vision.rendering.scene import RenderedScene, draw_scene
@@ -300,16 +299,3 @@ def wrong_and_sure(seen: Look) -> bool:
         return False
     askew = -seen.found.normal @ seen.pose[:3, 2] < math.cos(math.radians(15.0))  # false for an unknown normal
     return (seen.off > 0.003 and sigmas(seen) > 6.0) or bool(askew)
-
-
-@pytest.mark.parametrize("before", [0.007, 0.015, 0.025])
-def test_things_in_front_of_a_plate_do_not_bias_its_plane(before: float) -> None:
-    random, ray = np.random.default_rng(7), np.ones((2000, 3))
-    ray[:, :2] = random.uniform(-0.08, 0.08, size=(2000, 2))
-    block = (100 * np.floor(ray[:, 0] / 0.02) + np.floor(ray[:, 1] / 0.02)).astype(np.int64)
-    away = np.where(ray[:, 0] > 0.04, 0.6 - before, 0.6)
-    region = Region(ray, 1.0 / away + random.normal(scale=0.004, size=2000), block, 1.0)
-    plane = fit_plane(region, random)
-    stddev = np.sqrt(np.diag(np.linalg.inv(plane.precision)))
-    assert np.all(np.abs(plane.coefficients - [0.0, 0.0, 1.0 / 0.6]) < 4.0 * stddev)
-    assert np.abs(plane.coefficients[:2]).max() < 0.02

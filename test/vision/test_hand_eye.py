@@ -28,12 +28,12 @@ from deltacharger_vision.hand_eye.fit import (
 from deltacharger_vision.images import Intrinsics, project
 from deltacharger_vision.rendering.board_drawing import board_svg, with_board
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
-from deltacharger_vision.rendering.scene import CameraParameters, RenderedScene, shifted
+from deltacharger_vision.rendering.scene import RenderedScene, shifted
 from deltacharger_vision.terminal import turn
 
 from ..marks import night, rest
 from .hand_eye_rig import DOCK, Rig, squared
-from .views import DISTORTIONS, EVEN, IDEAL, view
+from .views import EVEN, IDEAL, view
 
 cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
@@ -169,7 +169,6 @@ def test_invalid_values_are_refused() -> None:
 
 UPRIGHT = shifted((0.0, 0.0, 0.2)) @ np.diag([1.0, -1.0, -1.0, 1.0])
 EXACT, USUAL = SimulatedCamera(parameters=IDEAL), SimulatedCamera()
-DARK, BRIGHT = (SimulatedCamera(parameters=CameraParameters(exposure=each)) for each in (0.3, 2.5))
 BACKGROUND = RenderedScene(target=False, parameters=EVEN)
 
 
@@ -201,17 +200,6 @@ def rms(board: Board, count: int, camera: SimulatedCamera) -> float:
 def test_corners_are_found_to_a_small_part_of_a_pixel(board: Board, count: int) -> None:
     assert rms(board, count, EXACT) < 0.05
     assert rms(board, count, USUAL) < 0.05
-
-
-def test_neither_a_lens_nor_exposure_displaces_corners_except_an_over_exposed_white() -> None:
-    board = Board()
-    for distortion in DISTORTIONS[1:]:
-        lens = dataclasses.replace(OAK_D, distortion=distortion)
-        assert rms(board, 1, SimulatedCamera(lens, IDEAL)) < 0.12
-    assert rms(board, 2, DARK) < 0.10
-    assert rms(board, 3, BRIGHT) > 0.15
-    usual, bright = (board.detect(rendered(board, drawn_pose(0), camera)) for camera in (USUAL, BRIGHT))
-    assert usual.white < 240 < 250 < bright.white
 
 
 def test_a_cut_off_averted_other_or_doubled_board_is_not_detected() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import sys
 from array import array
 from collections.abc import Iterable
 from pathlib import Path
@@ -172,12 +171,6 @@ def test_a_wrong_file_is_named(tmp_path: Path, name: str, content: Any, noun: st
     with pytest.raises(ImageError, match=noun) as refused:
         read_rgbd(color, wrong if wrong != color else None, CAMERA)
     assert str(wrong) in str(refused.value)
-
-
-def test_a_missing_library_is_named_with_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setitem(sys.modules, "cv2", None)
-    with pytest.raises(ModuleNotFoundError, match=r"\[vision\]"):
-        read_color(stored(tmp_path / "a.png", PIXELS))
 
 
 CALIBRATION = """\

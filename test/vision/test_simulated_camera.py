@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from deltacharger_vision.images import Intrinsics, RgbdImage
-from deltacharger_vision.mount import look_at
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
-from deltacharger_vision.rendering.scene import Box, CameraParameters, RenderedScene, charger_parts, shifted
+from deltacharger_vision.rendering.scene import Box, CameraParameters, RenderedScene, shifted
 
 from .views import DISTORTIONS, EVEN, FACES, IDEAL, VIEWS, edge_errors, linear, view
 
@@ -26,10 +25,6 @@ def taken(scene: RenderedScene, pose: np.ndarray, seed: int = 0, lens: Intrinsic
     """Return an image without errors, except those of changed camera parameters."""
     camera = SimulatedCamera(lens, dataclasses.replace(IDEAL, **changed))
     return camera.render(scene, pose, np.random.default_rng(seed))
-
-
-def image(scene: RenderedScene, pose: np.ndarray) -> np.ndarray:
-    return SimulatedCamera(parameters=IDEAL).render(scene, pose, np.random.default_rng(0), color_only=True).color
 
 
 @pytest.mark.parametrize(("pose", "distortion"), [*zip(VIEWS, (*DISTORTIONS, *DISTORTIONS), strict=False)])
@@ -101,14 +96,3 @@ def test_nothing_outside_the_stereo_range_has_depth() -> None:
     assert 0.173 <= np.nanmin(noisy) < 0.18
     for farthest, seen in ((2.9, False), (3.1, True)):
         assert (np.isfinite(taken(WALL, wall_at(3.0), farthest=farthest).depth) == seen).all()
-
-
-def test_the_chargers_parts_hide_the_terminal_if_in_between() -> None:
-    mount = look_at((0.0, 0.12, -0.12), (0.0, 0.0, 0.08))
-    pose = np.linalg.inv(mount) @ shifted((0.0, 0.0, 0.08))
-    bright = []
-    for z in (-0.2, 0.075):
-        parts = charger_parts(mount, (0.0, 0.0, z))
-        assert all(box.in_camera for box in parts)
-        bright.append((image(RenderedScene(foreground=tuple(parts)), pose) > 180).sum())
-    assert bright[1] < 0.3 * bright[0]

@@ -5,15 +5,15 @@ from __future__ import annotations
 
 import bisect
 import math
+from collections.abc import Iterable, Sequence
 from typing import Any
 
-import numpy as np
 from geometry_msgs.msg import TransformStamped
-from numpy.typing import NDArray
 from rclpy.time import Time
 
+from deltacharger_core.frames import IDENTITY, Pose, composed, inverted
+
 _CACHE = 10_000_000_000  # ns, as tf2's
-_Pose = tuple[NDArray[np.float64], NDArray[np.float64]]  # m; quaternion x, y, z, w
 _ENDLESS = 2**63 - 1
 
 
@@ -40,9 +40,9 @@ class _Link:
         self.parent = ""
         self.fixed = False
         self.times: list[int] = []
-        self.poses: list[_Pose] = []
+        self.poses: list[Pose] = []
 
-    def put(self, stamp: int, pose: _Pose) -> None:
+    def put(self, stamp: int, pose: Pose) -> None:
         place = bisect.bisect_left(self.times, stamp)
         if place < len(self.times) and self.times[place] == stamp:
             self.poses[place] = pose
@@ -55,7 +55,7 @@ class _Link:
     def newest(self) -> int:
         return _ENDLESS if self.fixed else self.times[-1]
 
-    def at(self, stamp: int) -> _Pose:
+    def at(self, stamp: int) -> Pose:
         if self.fixed:
             return self.poses[-1]
         if not self.times[0] <= stamp <= self.times[-1]:
@@ -66,8 +66,7 @@ class _Link:
             return self.poses[after]
         start, end = self.times[after - 1], self.times[after]
         share = (stamp - start) / (end - start)
-        (a, p), (b, q) = self.poses[after - 1], self.poses[after]
-        return a + share * (b - a), _between(p, q, share)
+        return _between(self.poses[after - 1], self.poses[after], share)
 
 
 class Buffer:
@@ -103,17 +102,14 @@ class Buffer:
         found.header.frame_id = target_frame
         found.header.stamp = Time(nanoseconds=0 if stamp == _ENDLESS else stamp).to_msg()
         place, turn = found.transform.translation, found.transform.rotation
-        back = _conjugate(here[1])
-        place.x, place.y, place.z = (float(value) for value in _turned(back, there[0] - here[0]))
-        turn.x, turn.y, turn.z, turn.w = (float(value) for value in _product(back, there[1]))
+        place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w = composed(inverted(here), there)
         return found
 
     def _put(self, transform: TransformStamped, fixed: bool) -> None:
         link = self._links.setdefault(transform.child_frame_id, _Link())
         link.parent, link.fixed = transform.header.frame_id, fixed
         place, turn = transform.transform.translation, transform.transform.rotation
-        quaternion = np.array([turn.x, turn.y, turn.z, turn.w])
-        pose = np.array([place.x, place.y, place.z]), quaternion / np.linalg.norm(quaternion)
+        pose = _pose((place.x, place.y, place.z), (turn.x, turn.y, turn.z, turn.w))
         link.put(Time.from_msg(transform.header.stamp).nanoseconds, pose)
 
     def _to_root(self, frame: str) -> list[str]:
@@ -126,31 +122,21 @@ class Buffer:
                 raise LookupException(f"the tree that holds '{frame}' contains a loop")
         return way
 
-    def _along(self, frames: list[str], stamp: int) -> _Pose:
-        place, turn = np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])
+    def _along(self, frames: list[str], stamp: int) -> Pose:
+        pose = IDENTITY
         for frame in frames:
-            at, by = self._links[frame].at(stamp)
-            place, turn = at + _turned(by, place), _product(by, turn)
-        return place, turn
+            pose = composed(self._links[frame].at(stamp), pose)
+        return pose
 
 
-def _product(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    vector = a[3] * b[:3] + b[3] * a[:3] + np.cross(a[:3], b[:3])
-    return np.append(vector, a[3] * b[3] - a[:3] @ b[:3])
+def _between(a: Pose, b: Pose, share: float) -> Pose:
+    """Return the pose at a share of the way, with quaternions in a straight line: near enough for small turns."""
+    same = math.copysign(1.0, sum(p * q for p, q in zip(a[3:], b[3:], strict=True)))
+    x, y, z, *turn = (p + share * (f * q - p) for p, q, f in zip(a, b, (1, 1, 1, *[same] * 4), strict=True))
+    return _pose((x, y, z), turn)
 
 
-def _conjugate(q: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.append(-q[:3], q[3])
-
-
-def _turned(q: NDArray[np.float64], point: NDArray[np.float64]) -> NDArray[np.float64]:
-    return _product(_product(q, np.append(point, 0.0)), _conjugate(q))[:3]
-
-
-def _between(p: NDArray[np.float64], q: NDArray[np.float64], share: float) -> NDArray[np.float64]:
-    cosine = float(p @ q)
-    q, cosine = (-q, -cosine) if cosine < 0.0 else (q, cosine)
-    angle = math.acos(min(cosine, 1.0))
-    if angle < 1e-9:
-        return p
-    return np.asarray((math.sin((1.0 - share) * angle) * p + math.sin(share * angle) * q) / math.sin(angle))
+def _pose(place: Iterable[float], turn: Sequence[float]) -> Pose:
+    length = math.hypot(*turn)
+    (x, y, z), (a, b, c, d) = place, (value / length for value in turn)
+    return x, y, z, a, b, c, d
