@@ -32,7 +32,7 @@ from deltacharger_vision.rendering.camera import SimulatedCamera
 from deltacharger_vision.rendering.scene import RenderedScene
 from deltacharger_vision.terminal import LOWER, UPPER, Detection, Terminal, turn
 from test.marks import night, rest
-from test.vision.test_detector import looks, wrong_and_sure
+from test.vision.test_detector import Look, looks, sigmas
 from test.vision.views import cover, view
 
 NOTHING = [*[math.nan] * 10, 1.0]
@@ -98,6 +98,14 @@ def test_one_seed_is_one_view_for_both_renderers_and_all_defects() -> None:
     for sample in samples[1:]:
         np.testing.assert_array_equal(sample.view.pose, samples[0].view.pose)
     assert samples[1].image.color.mean() < 0.7 * samples[0].image.color.mean()
+
+
+def wrong_and_sure(seen: Look) -> bool:
+    """Off by more than 3 mm and 6 standard deviations, or a normal off by more than 15°."""
+    if seen.found is None:
+        return False
+    askew = -seen.found.normal @ seen.pose[:3, 2] < math.cos(math.radians(15.0))  # false for an unknown normal
+    return (seen.off > 0.003 and sigmas(seen) > 6.0) or bool(askew)
 
 
 def test_depth_off_by_two_percent_makes_no_answer_wrong_and_sure() -> None:

@@ -47,11 +47,12 @@ def test_every_kind_of_colour_becomes_the_same_rgb() -> None:
         np.testing.assert_array_equal(RgbdImage.make(each, METRES, CAMERA).color, gray[:, :, None].repeat(3, axis=2))
 
 
-@pytest.mark.parametrize("unknown", [0.0, np.inf, np.nan])
-@pytest.mark.parametrize("kind", [np.float32, np.float64, np.uint16])
-def test_every_kind_of_depth_becomes_metres_with_nan(kind: type, unknown: float) -> None:
-    given = np.full((40, 64), 300 if kind is np.uint16 else 0.3, dtype=kind)
-    given[3, 4] = (65535 if unknown else 0) if kind is np.uint16 else unknown
+@pytest.mark.parametrize(
+    ("kind", "metre", "unknown"), [(np.float32, 1, np.inf), (np.float64, 1, 0), (np.uint16, 1000, 65535)]
+)
+def test_every_kind_of_depth_becomes_metres_with_nan(kind: type, metre: int, unknown: float) -> None:
+    given = np.full((40, 64), 0.3 * metre, dtype=kind)
+    given[3, 4] = unknown
     for each in (given, given[:, :, None]):
         got = RgbdImage.make(PIXELS, each, CAMERA).depth
         assert got.dtype == np.float32
@@ -65,7 +66,6 @@ def test_every_kind_of_depth_becomes_metres_with_nan(kind: type, unknown: float)
         (PIXELS, METRES[:, :50], "depth", "aligned"),
         (PIXELS[:, :, :2], METRES, "color", "RGBA"),
         (PIXELS.astype(np.uint16), METRES, "color", "8 bits"),
-        (PIXELS, METRES[:0], "depth", "shape"),
         (PIXELS, METRES * 1000, "depth", "millimetres"),
         (PIXELS, -METRES, "depth", "negative"),
         (PIXELS[:, :60], METRES[:, :60], "intrinsics", "cuts or bins"),
@@ -91,8 +91,8 @@ def test_a_scaled_or_binned_camera_shows_the_same_point_at_the_same_place() -> N
     [
         *({"fx": value} for value in (0.0, math.nan, "44")),
         {"cx": 1e4},
-        *({"width": value} for value in (0, 64.5, True)),
-        *({"distortion": value} for value in ((0.1, 0.2), (0.1, 0.0, 0.0, 0.0, math.nan), (1e9, 0.0, 0.0, 0.0, 0.0))),
+        {"width": 64.5},
+        *({"distortion": value} for value in ((0.1, 0.2), (0.1, 0.0, 0.0, 0.0, math.nan))),
     ],
     ids=str,
 )
@@ -141,15 +141,12 @@ def test_a_png_keeps_its_pixels_and_the_order_of_its_channels(tmp_path: Path, sh
         np.testing.assert_array_equal(read_color(tmp_path / "b.png"), pixels)
 
 
-def test_depth_keeps_its_values_and_an_rgbd_image_has_metres_and_unknowns(tmp_path: Path) -> None:
+def test_a_file_of_depth_is_in_millimetres_as_png_and_in_metres_as_npy(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", METRES)
     np.testing.assert_array_equal(read_depth(tmp_path / "a.npy"), METRES)
     color = stored(tmp_path / "a.png", noise(np.uint8, 40, 64, 3))
-    depth = np.full((40, 64), 1234, dtype=np.uint16)
-    depth[0, 0] = 0
-    image = read_rgbd(color, stored(tmp_path / "d.png", depth), CAMERA)
-    assert np.isnan(image.depth[0, 0])
-    np.testing.assert_allclose(image.depth.ravel()[1:], 1.234)
+    depth = stored(tmp_path / "d.png", np.full((40, 64), 1234, dtype=np.uint16))
+    np.testing.assert_allclose(read_rgbd(color, depth, CAMERA).depth, 1.234)
     assert np.isnan(read_rgbd(color, None, CAMERA).depth).all()
 
 
@@ -222,9 +219,7 @@ def test_no_missing_and_extra_coefficients_are_zero() -> None:
         ("441.0, 0, 320.1, 0, 442.0, 199.2, 0, 0, 1", "0, 0, 0, 0, 0, 0, 0, 0, 0", "calibrate the camera first"),
         ("441.0, 0, 320.1", "wide, 0, 320.1", "not a number"),
         ("plumb_bob", "equidistant", "equidistant"),
-        ("0.003]", "0.003, 0.5]", "rational_polynomial|plumb_bob"),
         ("image_width: 640\n", "", "image_width"),
-        ("camera_name: oak", "binning_x: two", "roi or binning"),
         ("camera_name: oak", "roi: {x_offset: 10, y_offset: 5, width: 640, height: 400}", "complete image"),
     ],
 )
@@ -256,14 +251,12 @@ def message(encoding: str, height: int, width: int, step: int, data: Any, big: b
     return SimpleNamespace(**fields, is_bigendian=int(big))
 
 
-@pytest.mark.parametrize("padding", [0, 5])
 @pytest.mark.parametrize(
     ("encoding", "order"),
     [("rgb8", [0, 1, 2]), ("bgr8", [2, 1, 0]), ("8UC3", [2, 1, 0]), ("rgba8", [0, 1, 2, 0]), ("bgra8", [2, 1, 0, 0])],
 )
-def test_colour_is_converted_to_rgb(encoding: str, order: list[int], padding: int) -> None:
-    step, data = packed(RGB[:, :, order], padding)
-    assert np.array_equal(color_array(message(encoding, 18, 21, step, data)), RGB)
+def test_colour_is_converted_to_rgb(encoding: str, order: list[int]) -> None:
+    assert np.array_equal(color_array(message(encoding, 18, 21, *packed(RGB[:, :, order], 5))), RGB)
 
 
 @pytest.mark.parametrize(("big", "kind"), [(False, "<u2"), (True, ">u2")])
@@ -283,13 +276,12 @@ def test_gray_yuv_and_metres_keep_their_values() -> None:
 @pytest.mark.parametrize(
     ("read", "encoding", "height", "step", "size", "noun"),
     [
-        (color_array, "bayer_rggb8", 18, 63, 18 * 63, "raw"),
+        (color_array, "bayer_rggb8", 18, 63, 900, "raw"),
         (depth_array, "rgb8", 18, 63, 18 * 63, "16UC1"),
         (color_array, "rgb8", 18, 62, 18 * 63, "color"),
-        (color_array, "rgb8", 18, 63, 900, "color"),
         (color_array, "x" * 1_000_000, 18, 63, 18 * 63, "color"),
     ],
-    ids=range(5),
+    ids=range(4),
 )
 def test_another_encoding_and_contradictory_fields_are_refused(
     read: Any, encoding: str, height: int, step: int, size: int, noun: str
@@ -340,11 +332,5 @@ def test_simultaneous_images_are_paired_despite_losses(lead: int, lost: set[int]
 
 def test_setting_back_the_clock_begins_again() -> None:
     again = [(kind, stamp * PERIOD) for stamp in range(3) for kind in (DEPTH, COLOR)]
-    late = (DEPTH, 10**18)
-    found = paired([*((kind, 10**12 + stamp) for kind, stamp in again), late, *again])
+    found = paired([*((kind, 10**12 + stamp) for kind, stamp in again), (DEPTH, 10**18), *again])
     assert found[3:] == [(stamp * PERIOD, stamp * PERIOD) for stamp in range(3)]
-    matcher: StampMatcher[Arrival] = StampMatcher()
-    assert len(paired(again, matcher)) == 3
-    assert not paired(again, matcher)
-    matcher.clear()
-    assert len(paired(again, matcher)) == 3

@@ -108,10 +108,8 @@ STRAIGHT = "position: [0, 0, 0]\norientation: [0, 0, 0, 1]\n"
     [
         (Mount, "position: [0, 0, 0]", "orientation"),
         (Mount, STRAIGHT.replace("0, 0, 0]", "0, 120, -120]", 1), "metres"),
-        (Mount, STRAIGHT + "covariance: [1, 2]", "36"),
         (Mount, STRAIGHT + "frame: base_link", "base_link"),
         (Terminal, "bar_lenght: 0.07", "'bar_length'"),
-        (Terminal, "gap: wide", "number"),
     ],
 )
 def test_a_wrong_file_is_refused_by_name(tmp_path: Path, kind: Any, text: str, noun: str) -> None:
