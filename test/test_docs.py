@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 import re
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -121,28 +121,22 @@ def test_every_launch_argument_exists() -> None:
             assert given <= {in_launch(name) for name in options[file]}, f"{ids(path)}: {line}"
 
 
-def defines(path: Path, names: Sequence[str]) -> bool:
-    """Return whether a module defines a function, class or variable of each name, methods and attributes included."""
-    text = path.read_text(encoding="utf-8")
-    return all(re.search(rf"^ *((async )?def |class )?{name}\b( ?[:=(]|$)", text, re.MULTILINE) for name in names)
-
-
 def is_defined(name: str) -> bool:
     """Return whether a dotted name exists: `package.module.Class.name` without `deltacharger_`, or `Class.field`."""
     parts = name.removeprefix("deltacharger_").split(".")
-    for count in range(len(parts), 1, -1):
-        path = ROOT / ("deltacharger_" + "/".join(parts[:count]) + ".py")
-        if path.exists():
-            return defines(path, parts[count:])
-    return any(defines(path, parts) for path in MODULES)
+    paths = [ROOT / ("deltacharger_" + "/".join(parts[:count]) + ".py") for count in range(len(parts), 1, -1)]
+    here = next(((path, parts[-index:] if index else []) for index, path in enumerate(paths) if path.exists()), None)
+    for path, names in [here] if here else [(path, parts) for path in MODULES]:
+        text = path.read_text(encoding="utf-8")
+        if all(re.search(rf"^ *((async )?def |class )?{each}\b( ?[:=(]|$)", text, re.MULTILINE) for each in names):
+            return True
+    return False
 
 
 def is_there(name: str) -> bool:
     """Return whether a path exists: from the repository root, or a file or folder/ name in any package."""
-    if (ROOT / name).exists():
-        return True
     name = name.removesuffix("/")
-    return "/" not in name and any(True for _ in ROOT.glob(f"deltacharger_*/**/{name}"))
+    return (ROOT / name).exists() or any(True for _ in ROOT.glob(f"deltacharger_*/**/{name}"))
 
 
 def test_every_name_in_the_tour_exists() -> None:

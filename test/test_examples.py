@@ -40,8 +40,6 @@ RUNS = {
         r"0\.0003 m: 16 of 20 charged, .* 1\.0 mm, .* for 0\.0 s.*0\.002 m: 0 of 20 charged, .* for 0\.0 s",
     ),
 }
-ELSEWHERE = {"charge_robot.py": "test/bringup/test_fleet_page.py", "send_a_goal.py": "below", "charger.yaml": "below"}
-"""Files that another test checks: name, and which."""
 
 
 def _run(name: str, *words: str, folder: Path) -> subprocess.CompletedProcess[str]:
@@ -91,10 +89,3 @@ def test_the_file_for_real_hardware_is_a_scene() -> None:
     assert scene.touches_hardware
     assert scene.docks
     assert not list(problems(scene))
-
-
-def test_the_examples_are_checked_and_named_in_the_table() -> None:
-    files = {path.name for path in EXAMPLES.glob("*.*")} - {"README.md"}
-    assert files == set(RUNS) | set(ELSEWHERE), "add the new one to RUNS, or to ELSEWHERE"
-    table = (EXAMPLES / "README.md").read_text(encoding="utf-8")
-    assert all(f"[{name}]({name})" in table for name in files)

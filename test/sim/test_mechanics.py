@@ -33,17 +33,11 @@ NO_TARGET = TargetParameters(present=False)
 ArmFactory = Callable[..., Any]
 
 
-def test_its_gears_friction_carries_the_arm_without_power_and_little_friction_lets_it_sink(arm: ArmFactory) -> None:
+def test_its_gears_friction_carries_the_arm_without_power(arm: ArmFactory) -> None:
     limp = arm()
     limp.run(1.0)
     assert math.hypot(*limp.world.mechanics.position) < 5e-4
     assert limp.world.mechanics.torques == (0.0, 0.0, 0.0)
-    weak = arm(WorldParameters(servo=plain_servo(unpowered_friction=0.1), target=NO_TARGET))
-    weak.go((0.0, 0.0, 0.05))
-    weak.release()
-    weak.run(3.0)
-    assert -0.2 < weak.world.mechanics.position[1] < -0.01
-    assert math.hypot(*weak.world.mechanics.velocity) < 1e-3
 
 
 @pytest.mark.parametrize("point", [(0.0, 0.0, 0.08), (-0.05, 0.05, 0.1)])

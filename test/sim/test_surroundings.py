@@ -39,8 +39,7 @@ def pressed(arm: ArmFactory, step: float = 0.01, **stand: float) -> tuple[float,
     return mechanics.contact_force, mechanics.target_shift[2]
 
 
-@pytest.mark.parametrize("step", [0.002, 0.005, 0.01])
-@pytest.mark.parametrize("play", [0.0, 0.002])
+@pytest.mark.parametrize(("play", "step"), [(0.0, 0.002), (0.002, 0.01)])
 def test_a_pressed_target_yields_by_the_play_and_the_push_beyond_rolling_over_the_tyres(
     arm: ArmFactory, play: float, step: float
 ) -> None:
@@ -50,7 +49,6 @@ def test_a_pressed_target_yields_by_the_play_and_the_push_beyond_rolling_over_th
 
 
 def test_brakes_slip_at_their_force_and_the_wheels_then_roll(arm: ArmFactory) -> None:
-    for brakes in (0.0, 10.0):
-        push, shift = pressed(arm, brakes=brakes)
-        assert push == pytest.approx(brakes + ROLLING, abs=0.05)
-        assert shift > 0.008
+    push, shift = pressed(arm, brakes=10.0)
+    assert push == pytest.approx(10.0 + ROLLING, abs=0.05)
+    assert shift > 0.008

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -67,14 +66,9 @@ def bed(tilt: PlatformTilt, depth: float, at: tuple[float, float], angles: np.nd
     return found - [0.0, np.clip(PADS * (angles[1] - tilt_y), -most, most), 0.0]
 
 
-SLOPES = ((0.0, 0.1), (-0.03, 0.06), (0.002, -0.001))
-BEDS = [
-    (stiffness, compliance, slope)
-    for stiffness, compliance, slope in itertools.product((1e3, 1e5, 1e7), (0.0, 0.01, 0.1), SLOPES)
-]
-
-
-@pytest.mark.parametrize(("stiffness", "compliance", "slope"), BEDS)
+@pytest.mark.parametrize("slope", [(0.0, 0.1), (-0.03, 0.06), (0.002, -0.001)])
+@pytest.mark.parametrize("compliance", [0.0, 0.01, 0.1])
+@pytest.mark.parametrize("stiffness", [1e3, 1e7])
 def test_force_and_tilt_agree_with_a_bed_of_springs_and_two_pads(
     stiffness: float, compliance: float, slope: tuple[float, float]
 ) -> None:

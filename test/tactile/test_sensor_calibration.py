@@ -145,12 +145,7 @@ def test_one_rig_is_chosen_and_unusable_data_are_refused(model: PoseEstimator) -
     data = generate_continuous(rigs=(3, 4), count=20, threshold=0.0)
     assert np.array_equal(select(data, 4).pose[:, 2], data.angle[20:])
     empty = dataclasses.replace(select(data, 3), frames=np.zeros((20, *SHAPE)))
-    for refused, noun in (
-        (lambda: select(data), "--rig"),
-        (lambda: select(data, 5), "rig 5"),
-        (lambda: fit(empty, model), "in range"),
-        (lambda: fit(select(generate_continuous(rigs=(3,), count=20, threshold=1.0)), model), "--threshold"),
-    ):
+    for refused, noun in ((lambda: select(data), "--rig"), (lambda: fit(empty, model), "in range")):
         with pytest.raises(SensorCalibrationError, match=noun):
             refused()
 
@@ -191,10 +186,6 @@ def test_correction_moves_the_estimate_and_derived_values(model: PoseEstimator) 
     assert np.any(raw.sure & ~aside.sure)
     far = dataclasses.replace(made, bias=np.array([0.0, 0.02, 0.0])).correct(raw)
     assert not far.in_range[raw.vertical < 0.0].any()
-    nothing = made.correct(model.predict(np.zeros(SHAPE[1:]), np.zeros(SHAPE[1:])))
-    assert math.isnan(nothing.angle)
-    assert (nothing.contact, nothing.in_range, nothing.sure) == (False, False, False)
-    assert TactileCalibration().correct(raw) is raw
 
 
 def test_a_saved_file_loads_unchanged(tmp_path: Path) -> None:
@@ -210,14 +201,13 @@ PAD, BIAS = [[1.0] * 10] * 10, {"horizontal": 0.0, "vertical": 0.0, "angle": 0.0
 DAMAGE: list[tuple[str, Any, str]] = [
     ("version", 2, "version"),
     ("gian", 1, "exactly"),
-    ("gain", None, "gain"),
     ("gain", {"left": PAD, "right": PAD[1:]}, "gain"),
     ("gain", {"left": PAD, "right": [[float("nan")] * 10] * 10}, "gain"),
     ("gain", {"left": PAD, "right": [[0.0] * 10] * 10}, "gain"),
     ("bias", BIAS | {"horizontal": 1.0}, "bias.horizontal"),
     ("bias_stddev", BIAS | {"vertical": -1e-4}, "bias_stddev.vertical"),
-    *(("load_shift", value, "load_shift") for value in (float("nan"), 1000.0, 10)),
-    *(("dead", value, "dead") for value in ([[0, 0, 10]], "all")),
+    ("load_shift", float("nan"), "load_shift"),
+    ("dead", [[0, 0, 10]], "dead"),
     ("rig", "one", "rig"),
 ]
 
