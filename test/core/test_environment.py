@@ -40,22 +40,17 @@ def test_the_text_states_who_can_command_the_nodes(
     assert environment.openness() == text
 
 
-@pytest.mark.parametrize("name", ["FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE", ""])
-def test_fast_dds_settings_of_the_user_are_kept(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("kept", ["variable", "file", ""])
+def test_fast_dds_settings_of_the_user_are_kept(kept: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """They may be in a variable, or in a file of the working directory."""
-    names = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
+    ours, theirs = "FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE"
     monkeypatch.chdir(tmp_path)
-    for each in names:
-        monkeypatch.setenv(each, "mine.xml" if each == name else "")
-    file = tmp_path / "DEFAULT_FASTDDS_PROFILES.xml"
-    if not name:
-        file.write_text("<dds/>")
+    monkeypatch.setenv(ours, "")
+    monkeypatch.setenv(theirs, "mine.xml" if kept == "variable" else "")
+    if kept == "file":
+        (tmp_path / "DEFAULT_FASTDDS_PROFILES.xml").write_text("<dds/>")
     environment.announce()
-    assert [os.environ[each] for each in names] == ["mine.xml" if each == name else "" for each in names]
-    if not name:
-        file.unlink()
-        environment.announce()
-        assert Path(os.environ[names[0]]).name == "fastdds.xml"
+    assert Path(os.environ[ours]).name == ("" if kept else "fastdds.xml")
 
 
 @pytest.mark.parametrize("chosen", ["", "rmw_fastrtps_cpp", "rmw_cyclonedds_cpp"])

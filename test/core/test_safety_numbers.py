@@ -45,11 +45,14 @@ from deltacharger_docking.parameters import DockingParameters, TargetProfile
 from deltacharger_driver.board import contactor, protocol
 from deltacharger_driver.emulators.power import EmulatedPower, PowerStage, StageParameters, StageReading
 from deltacharger_driver.errors import DriverError
-from deltacharger_driver.parameters import ServoNodeParameters, TactileNodeParameters
+from deltacharger_driver.parameters import ServoNodeParameters
 from deltacharger_driver.servos import controller, motion, registers
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_kinematics.swing import Swung, surely_swings
+from deltacharger_mission.machine import MissionMachine
+from deltacharger_mission.parameters import MissionParameters
+from deltacharger_mission.places import BaseMount, Place
 from deltacharger_tactile import estimator, perception
 from deltacharger_vision.detector.judgement import supported
 from deltacharger_vision.errors import VisionError
@@ -184,19 +187,6 @@ def touches_live(**changes: Any) -> bool:
     return watched(shared, replace(pressing(), **changes))
 
 
-def keeps_port(volts: float, samples: int = 2, before: float = 24.0) -> bool:
-    """Return whether docking goes on if a live port in contact falls from one voltage to another."""
-    shared = scene(target_voltage=before)
-    shared.enter(State.MEASURE, INF)
-    watches = watch.Watches(shared)
-    assert watches.problem() is None
-    for number in range(samples):
-        shared.observe(replace(pressing(), time=0.05 * (number + 1), target_voltage=volts))
-        if watches.problem() is not None:
-            return False
-    return True
-
-
 def continues(state: State = State.MEASURE, seen: Observation | None = None, lead: float = 0.0, **changes: Any) -> bool:
     """Return whether a script goes on in this state, whose command leads the arm by so much (m) more than explained."""
 
@@ -247,9 +237,6 @@ OBSERVATION = (
     *fields(may_close, 5.1, (4.9, NAN, -INF), "thermal_reserve"),
     *fields(may_close, True, (False,), "torque_enabled", "tactile_contact"),
     *fields(may_close, "", ("a second tactile_node",), "duplicate_sources"),
-    Limit("port in contact, V", keeps_port, 8.1, 7.9, (2.1, 0.0, -24.0)),  # a third of 24 V
-    Limit("port in contact before, V", lambda v: keeps_port(0.0, before=v), 9.4, 9.6, ()),
-    Limit("charger_power of a collapse", lambda v: keeps_port(0.0, v), 1, 2, ()),
     *fields(stays_closed, 0.49, (0.51, INF, NAN), "power_age"),
     *fields(stays_closed, 0.24, (0.26, INF, NAN), "servo_age"),
     *fields(stays_closed, 5.1, (4.9, NAN, -INF), "thermal_reserve"),
@@ -328,6 +315,12 @@ def opens(age: float, seconds: float = 0.5, **changes: Any) -> bool:
     return False
 
 
+def locates(age: float) -> bool:
+    shared = scene()
+    found = ElectrodePose(DOCK, 0.0, age=age)
+    return passes(lambda: answered(algorithm.locate(shared), shared, detection=found))
+
+
 def rolls(roll: float, sigma: float = 0.0) -> bool:
     seen = ElectrodePose(DOCK, roll * DEGREE, sigma * DEGREE)
     return passes(algorithm.check_roll, scene(), seen, 12.0 * DEGREE)
@@ -373,6 +366,7 @@ ANSWERS = (
     Limit("report after opening, s", lambda v: opens(v), 0.3, 0.5),
     Limit("current after opening, A", lambda v: opens(0.0, charge_current=v), 0.49, 0.51, (-0.51, INF)),
     Limit("contactor after opening", lambda v: opens(0.0, contactor_closed=v), False, True, ()),
+    Limit("age of a detection, s", locates, 0.99, 1.01, (INF, NAN)),
     Limit("roll, °", rolls, 11.9, 12.1, (-12.1, NAN, INF)),
     Limit("roll's σ, °", lambda v: rolls(10.0, v), 0.99, 1.01, (NAN, INF)),
     Limit("yaw, °", lambda v: leans(1.0, yaw=v), 6.9, 7.1, (-7.1, INF)),
@@ -608,20 +602,19 @@ CAMERA = (
 # What users may set.
 
 
-def settable(kind: Any, *rows: tuple[str, float, float]) -> Iterator[Limit]:
-    for name, inside, outside in rows:
-        ask = lambda value, name=name: passes(lambda: kind(**{name: value}))  # noqa: E731
-        yield Limit(f"{kind.__name__}: {name}", ask, inside, outside, (NAN, INF, -INF))
+def settable(kind: Any, name: str, inside: float, outside: float) -> Limit:
+    ask = lambda value: passes(lambda: kind(**{name: value}))  # noqa: E731
+    return Limit(f"{kind.__name__}: {name}", ask, inside, outside, (NAN, INF, -INF))
 
 
 SETTINGS = (
-    *settable(DockingParameters, ("critical_angle", 0.2103, 0.2104)),
-    *settable(DockingParameters, ("clearance_min", 0.0, -1e-4), ("electrode_half_gap", 0.02, 0.021)),
-    *settable(DockingParameters, ("live_servo_age_max", 0.5, 0.51), ("age_max", 2.0, 2.1)),
-    *settable(DockingParameters, ("magnet_force", 300.0, 300.1)),
-    *settable(ServoNodeParameters, ("current_max", 4.1, 4.2)),
-    *settable(MeasuredServos, ("stiffness", 0.5, 0.4), ("stiffness", 160.0, 161.0), ("torque_constant", 0.1, 0.09)),
-    *settable(TactileNodeParameters, ("rate", 200.0, 201.0)),
+    settable(DockingParameters, "critical_angle", 0.2103, 0.2104),
+    settable(DockingParameters, "clearance_min", 0.0, -1e-4),
+    settable(DockingParameters, "live_servo_age_max", 0.5, 0.51),
+    settable(DockingParameters, "age_max", 2.0, 2.1),
+    settable(ServoNodeParameters, "current_max", 4.1, 4.2),
+    settable(MeasuredServos, "stiffness", 0.5, 0.4),
+    settable(MeasuredServos, "torque_constant", 0.1, 0.09),
 )
 
 
@@ -632,6 +625,21 @@ ROWS = (*CLEARANCE, *OBSERVATION, *ANSWERS, *BOARD, *SERVOS, *CAMERA, *SETTINGS)
 def test_limit(row: Limit) -> None:
     assert row.accepts(row.inside)
     assert not [value for value in (row.outside, *row.refused) if row.accepts(value)]
+
+
+def test_a_goal_moves_from_the_start_of_its_trajectory() -> None:
+    servo = motion.ServoGoals(1, 0.83, 1.46)
+    servo.begin_at((0.0,))
+    servo.follow(motion.Trajectory((1.0,), ((1.0,),), (None,)), 10.0, 10.0)
+    servo.advance(10.5)
+    assert servo.angles == (0.5,)
+
+
+def test_a_target_of_unknown_pitch_has_a_known_place() -> None:
+    mission = MissionMachine(MissionParameters(), BaseMount((0.0, 0.0, 0.0, 0.5, 0.5, 0.5, 0.5)), None)
+    mission.status.place = Place(0.0, 0.0, 0.0)
+    seen = ElectrodePose(DOCK, 0.0, yaw=0.1, yaw_stddev=0.01)
+    assert mission._placed(seen, Place(1.0, 0.0, 0.0)) == Place(0.08, 0.0, pytest.approx(0.1 - math.pi))
 
 
 def test_numbers_that_need_more_than_a_row() -> None:

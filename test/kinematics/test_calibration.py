@@ -55,13 +55,6 @@ def measured(
     return Measurements(there + random.normal(size=there.shape) * noise, angles, kept, tuple(range(2, len(points) + 2)))
 
 
-def write(path: Path, rows: Measurements, encoder: Encoder | None = None, header: str = HEADER) -> Path:
-    ticks = (encoder or Encoder()).ticks(rows.angles)
-    lines = [",".join(f"{v:.6f}" for v in (*p / MILLIMETRE, *t)) for p, t in zip(rows.positions, ticks, strict=True)]
-    path.write_text("\n".join([header, *lines]) + "\n", encoding="utf-8")
-    return path
-
-
 BOX = np.random.default_rng(9).uniform(NOMINAL.workspace_min, NOMINAL.workspace_max, (200, 3))
 BOX_ANGLES = Delta(NOMINAL).inverse(BOX).angles
 GOOD = measured(drawn_arm(1))
@@ -129,19 +122,6 @@ def test_angles_that_the_arm_cannot_have_are_refused_with_their_lines() -> None:
     with pytest.raises(CalibrationError, match="lines 5, 9: an arm angle is far outside the joint limits") as refused:
         calibrate(rows, NOMINAL, STATED)
     assert refused.value.lines == (5, 9)
-    short = replace(NOMINAL, rod=0.100, joint_max=math.radians(120.0))
-    rows.angles[[3, 7]] = [-1.1, 1.9, 1.9]
-    lost = np.isnan(Delta(short).forward(rows.angles).position).any(axis=1)
-    with pytest.raises(CalibrationError, match="its rods would not meet") as refused:
-        calibrate(rows, short, STATED)
-    assert refused.value.lines == tuple(np.flatnonzero(lost) + 2)
-
-
-@pytest.mark.parametrize("name", ["measurement", "length", "angle"])
-def test_uncertainties_are_positive(name: str) -> None:
-    for value in (0.0, -1.0, math.nan, math.inf):
-        with pytest.raises(CalibrationError, match=name):
-            replace(STATED, **{name: value})
 
 
 ROW = "1,2,3,2048,2100,2000"
@@ -220,6 +200,7 @@ def test_a_recording_is_a_measurement_file_and_can_resume(tmp_path: Path) -> Non
     assert (again.held_out == KEPT).all()
     with pytest.raises(CalibrationError, match="other zero ticks"):
         PoseRecording(path, Encoder())
-    other = write(tmp_path / "other.csv", rows)
+    other = tmp_path / "other.csv"
+    other.write_text(f"{HEADER}\n{ROW}\n")
     with pytest.raises(CalibrationError, match="no recording"):
         PoseRecording(other, encoder)

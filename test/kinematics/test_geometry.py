@@ -36,14 +36,6 @@ def test_impossible_values_are_refused_by_name(name: str, value: Any) -> None:
         DeltaGeometry(**{name: value})
 
 
-def test_an_adjustment_applies_to_its_limb() -> None:
-    limbs = [CALIBRATED.limb(index) for index in range(3)]
-    assert [limb.rod for limb in limbs] == [0.1801, 0.180, 0.180]
-    assert [limb.arm for limb in limbs] == [0.1002] * 3
-    assert [limb.angle_offset for limb in limbs] == [0.012, 0.0, 0.0]
-    assert limbs[2].tangential_offset == -3.1e-4
-
-
 def test_a_file_keeps_every_digit(tmp_path: Path) -> None:
     path = tmp_path / "geometry.yaml"
     save_geometry(CALIBRATED, path, "made by a test\nsecond line")

@@ -109,21 +109,6 @@ def test_a_goal_out_of_reach_is_refused_with_the_last_reachable_place() -> None:
     assert not DELTA.inverse((0.0, 0.0, z - 1e-3)).status & REFUSED
 
 
-@pytest.mark.parametrize(
-    ("start", "goal", "bit"),
-    [
-        (DOCK, (0.150, 0.0, 0.080), Status.SWING_LIMIT),
-        ((0.0, 0.0, 0.178), DOCK, Status.JOINT_LIMIT),
-    ],
-)
-def test_every_bad_status_along_the_line_is_reported(
-    start: tuple[float, float, float], goal: tuple[float, float, float], bit: Status
-) -> None:
-    with pytest.raises(LineRefused) as caught:
-        plan_line(DELTA, start, goal, 0.12)
-    assert bit in caught.value.status
-
-
 def test_a_line_with_good_ends_that_leaves_the_limits_in_between_is_refused_even_if_no_waypoint_does() -> None:
     start, goal = np.array((-0.0535, 0.0664, -0.0028)), np.array((-0.0382, -0.0909, -0.0106))
     waypoints = DELTA.inverse([start, 0.5 * (start + goal), goal])

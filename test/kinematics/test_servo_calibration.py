@@ -12,9 +12,7 @@ import numpy as np
 import pytest
 
 from deltacharger_core.machine import GRAVITY, TORQUE_CONSTANT
-from deltacharger_kinematics.calibration.data import TICK
 from deltacharger_kinematics.calibration.servo_fit import (
-    ArmReadings,
     ServoTask,
     ServoTrouble,
     fit_servos,
@@ -113,15 +111,7 @@ def test_the_error_for_an_arm_out_of_reach_says_to_push_it() -> None:
         PosePlanner(QUICK).middle(np.array((3.0, -3.0, 0.0)), ServoModel(np.full(3, 15.0), np.full(3, 0.1)))
 
 
-class Shaken(VirtualArm):
-    def read(self, seconds: float) -> ArmReadings:
-        readings = super().read(seconds)
-        jitter = 3.0 * TICK * (np.arange(len(readings.angles)) % 2)[:, None]
-        return ArmReadings(readings.angles + jitter, readings.currents)
-
-
 LIGHT = dataclasses.replace(SERVO, torque_constant=TORQUE_CONSTANT)
-PLAIN = WorldParameters(servo=SERVO, target=ALONE)
 
 
 @pytest.mark.parametrize(
@@ -131,7 +121,6 @@ PLAIN = WorldParameters(servo=SERVO, target=ALONE)
         night(arm, (0.0, -9.81 * 0.985, -9.81 * 0.174), "correct gravity"),
         night(lambda: arm(LIGHT, weight=0.6), GRAVITY, "weighs 0.6"),
         rest(lambda: arm(target=TargetParameters(z=0.045)), GRAVITY, "block"),
-        rest(lambda: Shaken(PLAIN), GRAVITY, "come to rest"),
         night(lambda: arm(gains=(5.0, 5.0, 5.0)), GRAVITY, r"position_p_gain of servo_node to about [456]\d\d"),
     ],
 )

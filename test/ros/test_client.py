@@ -13,12 +13,11 @@ from rclpy.action.server import ActionServer, CancelResponse, GoalResponse
 from rclpy.node import Node
 
 from deltacharger_docking.codes import Code
-from deltacharger_mission.ros.others import unknown_dock
 from deltacharger_ros import client as client_module
 from deltacharger_ros.action_caller import LOST, ActionCaller
 from deltacharger_ros.client import ChargerClient, ClientError
 from deltacharger_ros.executor import Spinner
-from deltacharger_ros.messages import CODES, to_outcome
+from deltacharger_ros.messages import CODES
 from deltacharger_ros.outcomes import DockRequest, Pose
 
 from ..chargers import DEADLINE, wait_until
@@ -188,22 +187,6 @@ def test_a_goal_is_cancelled_although_its_acceptance_was_lost(answering: Answeri
     with pytest.raises(ClientError, match="did not answer the goal 'dock'"):
         client.dock(GOAL, cancel=cancel)
     assert ended.wait(DEADLINE)
-
-
-@pytest.mark.parametrize(
-    ("code", "end", "is_lost"),
-    [
-        (Code.NO_CONTACT, "NO_CONTACT", True),
-        (Code.STUCK, "full", False),
-        (Code.CANCELED, "CANCELED", False),
-        (Code.NONE, "", False),
-    ],
-)
-def test_a_lost_charge_is_one_that_the_goals_own_failure_ended(code: Code, end: str, is_lost: bool) -> None:
-    result = unknown_dock()
-    result.success, result.error_code, result.charge_end = not code, int(code), end
-    assert to_outcome("dock", result).lost_the_charge is is_lost
-    assert not to_outcome("undock", Undock.Result()).lost_the_charge
 
 
 def test_a_client_names_every_code() -> None:

@@ -78,8 +78,6 @@ def test_integers_are_accepted_for_floats_from_command_line_and_files(
     ("given", "message"),
     [
         ({"rate": 900.0}, "'rate'"),
-        ({"rate": "fast"}, "'rate'"),
-        ({"corner": [1, 9]}, "'corner'"),
         ({"count": 2.0}, "'count'"),
         ({"rat": 5.0}, "did you mean 'rate'"),
     ],
@@ -213,8 +211,6 @@ def test_values_that_the_node_refuses_stay_unchanged(subject: Subject) -> None:
     assert subject.each(low=0.45) == ["low not set: a goal is running"]
     assert subject.together(low=0.45, high=0.6) == "low, high not set: a goal is running"
     assert subject.values_now()["low"] == 0.4
-    subject.refusal = ""
-    assert subject.together(low=0.45) == ""
 
 
 CONTENT = "{stiffness: 9.5, torque_constant: 1.31, position_p_gain: 300, position_d_gain: 4}"

@@ -27,19 +27,13 @@ def on_older_ros(folder: Path, *command: str) -> subprocess.CompletedProcess[str
     return subprocess.run([sys.executable, *command], env=variables, capture_output=True, text=True, timeout=60)
 
 
-def refused(process: subprocess.CompletedProcess[str]) -> str:
-    """Return the only output line; the exit code must be 2."""
-    (line,) = process.stderr.splitlines()
-    assert process.returncode == 2
-    assert RUNS_ON in line
-    return line
-
-
 @pytest.mark.rest
 @pytest.mark.ros
 def test_a_command_refuses_an_older_ros(tmp_path: Path) -> None:
     process = on_older_ros(tmp_path, "-m", "deltacharger_bringup.cli", "dock", "--scene", "mocks", "--json")
-    line = refused(process)
+    (line,) = process.stderr.splitlines()
+    assert process.returncode == 2
+    assert RUNS_ON in line
     assert json.loads(process.stdout) == {"success": False, "error": line}
 
 
