@@ -28,8 +28,7 @@ class BenchArm:
 
     Attributes:
         load: N·m on each servo, toward +angle.
-        voltage: V of each servo's supply without load.
-        supply_resistance: Ω, common to all servos.
+        voltage: V of each servo's supply.
         temperature: °C of each servo.
         commands: last (torque enabled, reference rad, current limit A, P and D gain) of each servo; None before it.
     """
@@ -42,7 +41,7 @@ class BenchArm:
     ) -> None:
         count = len(angles)
         self.load, self.temperature = [0.0] * count, [30.0] * count
-        self.voltage, self.supply_resistance = [NOMINAL_VOLTAGE] * count, 0.0
+        self.voltage = [NOMINAL_VOLTAGE] * count
         self.commands: list[tuple[bool, float, float, float, float] | None] = [None] * count
         self._angle, self._velocity, self._current = list(angles), [0.0] * count, [0.0] * count
         self._constant, self._clock, self._at = torque_constant, clock, clock()
@@ -77,8 +76,8 @@ class BenchArm:
         """See ServoPlant."""
         with self._lock:
             self._advance()
-            voltage = self.voltage[index] - self.supply_resistance * sum(map(abs, self._current))
-            return self._angle[index], self._velocity[index], self._current[index], voltage, self.temperature[index]
+            moved = self._angle[index], self._velocity[index], self._current[index]
+            return *moved, self.voltage[index], self.temperature[index]
 
     def _advance(self) -> None:
         now = self._clock()

@@ -94,14 +94,6 @@ def test_servos_and_board_know_nothing_of_each_other() -> None:
         assert not sorted(name for name in found if name.startswith(f"deltacharger_driver.{other}."))
 
 
-def test_product_code_does_not_depend_on_assert() -> None:
-    """Asserts only help mypy; they call nothing, and no input can violate them."""
-    for module, text in texts().items():
-        for found in re.findall(r"^ *assert (.*)", text, re.MULTILINE):
-            calls = set(re.findall(r"(\w+)\(", found)) - {"isinstance"}
-            assert not calls, f"{module}: assert {found}"
-
-
 def test_a_program_handles_signals_before_it_imports_what_takes_long() -> None:
     """In the standard library alone threading, ctypes, dataclasses and typing take longer than all that is allowed."""
     code = (

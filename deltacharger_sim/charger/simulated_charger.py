@@ -97,12 +97,6 @@ class SimulatedCharger:
     def __exit__(self, *exception: object) -> None:
         self.stop()
 
-    @property
-    def board_heard(self) -> float:
-        """When the board's host last sent a byte, s, monotonic; -inf = never."""
-        tap = self._taps.get(_BOARD)
-        return -math.inf if tap is None else tap.last
-
     def errors(self) -> list[BaseException]:
         """Return the errors that ended an emulator's thread; empty while both serve."""
         return [terminal.error for terminal in self._terminals if terminal.error is not None]

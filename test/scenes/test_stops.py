@@ -12,7 +12,6 @@ import signal
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -114,14 +113,8 @@ def test_a_signal_while_a_program_is_being_imported_ends_it_silently(
 
 
 @pytest.mark.rest
-@pytest.mark.parametrize("what", ["kinematics_node", "simulate"])
-def test_a_process_ends_with_its_starter(
-    what: str, start: Start, deltacharger: tuple[str, ...], namespace: str, tmp_path: Path
-) -> None:
-    if what == "simulate":
-        words = [*deltacharger, "simulate", "--directory", str(tmp_path), "--namespace", namespace]
-    else:
-        words = node_command(load_scene("mocks"), what, namespace)
+def test_a_process_ends_with_its_starter(start: Start, namespace: str) -> None:
+    words = node_command(load_scene("mocks"), "kinematics_node", namespace)
     code = (
         "import os, subprocess, sys, time\n"
         "from deltacharger_core import signals\n"
@@ -133,4 +126,4 @@ def test_a_process_ends_with_its_starter(
     wait_until(lambda: starter.out, "its process")
     node = int(starter.out[0])
     starter.process.kill()
-    wait_until(lambda: not lives(node), f"the end of {what}")
+    wait_until(lambda: not lives(node), "the end of the node")

@@ -47,26 +47,10 @@ def thrown(speed: float, stiffness: float, step: float, gap: float = 0.002, **ch
     return world
 
 
-def pressed(arm: ArmFactory, parameters: WorldParameters, step: float, speed: float, depth: float = 0.002) -> Any:
-    """Moved at a speed (m/s) from 12 mm before the target to `depth` beyond it, with compensated servo lag."""
-    found, servo = arm(parameters, step), parameters.servo
-    for z in (0.05, 0.068):  # a jump of 68 mm would overshoot onto the target
-        found.go((0.0, 0.0, z), max(1.0, 5.0 * servo.damping / servo.stiffness))
-    held, stiffness = DELTA.holding_torque(0.0, 0.0, 0.08, found.gravity), servo.stiffness
-    count, lag = math.ceil((0.012 + depth) / speed / 0.02), servo.damping / stiffness
-    for index in range(count + 1):
-        z = 0.068 + min(speed * 0.02 * (index + 1), 0.012 + depth)
-        ahead = lag * speed / sum(DELTA.jacobian(0.0, 0.0, z)[6:]) if index < count else 0.0
-        for servo_index, (angle, torque) in enumerate(zip(DELTA.inverse(0.0, 0.0, z), held, strict=True)):
-            found.world.command(servo_index, True, angle + torque / stiffness + ahead, 4.1)
-        found.run(0.02)
-    found.run(max(0.2, 10.0 * lag))
-    return found
-
-
 class TestSpring:
     @pytest.mark.parametrize("stiffness", [1e5, 1e9])
-    @pytest.mark.parametrize(("speed", "step"), [(0.01, 0.02), (0.12, 0.001)])
+    @pytest.mark.parametrize("speed", [0.01, 0.12])
+    @pytest.mark.parametrize("step", [0.001, 0.005, 0.02])
     def test_an_undamped_strike_peaks_at_v_times_the_root_of_k_m(
         self, step: float, stiffness: float, speed: float
     ) -> None:
@@ -84,21 +68,6 @@ class TestSpring:
         beyond = (-b + math.sqrt(b * b + 4.0 * a * left)) / (2.0 * a)
         expected = 2.0 * k * (s + beyond) + stop * beyond
         assert world.record.peak_force == pytest.approx(expected, rel=0.03)
-
-
-class TestPeak:
-    @pytest.mark.parametrize(
-        ("servo", "stiffness", "magnets"),
-        [(2.5, 1e4, 0.0), (15.0, 1e5, 60.0), (15.0, 1e8, 60.0)],
-    )
-    def test_the_step_does_not_change_it(self, arm: ArmFactory, servo: float, stiffness: float, magnets: float) -> None:
-        parameters = WorldParameters(
-            servo=plain_servo(stiffness=servo),
-            contact=ContactParameters(stiffness=stiffness),
-            magnets=MagnetParameters(force=magnets),
-        )
-        peaks = [pressed(arm, parameters, step, 0.025).world.record.peak_force for step in (0.002, *STEPS[1:])]
-        assert peaks[1:] == pytest.approx([peaks[0]] * 3, rel=0.15)
 
 
 class TestQuiet:
