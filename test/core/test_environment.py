@@ -24,7 +24,6 @@ def nothing_is_set(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("settings", "text"),
     [
-        ({RANGE: ""}, "every computer of this network"),
         ({RANGE: "SUBNET", "ROS_STATIC_PEERS": "10.0.0.7"}, "every computer of this network and to 10.0.0.7"),
         ({"ROS_LOCALHOST_ONLY": "1", "ROS_STATIC_PEERS": "10.0.0.7"}, "every program on this computer"),
         ({RANGE: "SYSTEM_DEFAULT", "ROS_STATIC_PEERS": "10.0.0.7"}, "programs that the middleware's profile admits"),

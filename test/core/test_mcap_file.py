@@ -37,7 +37,6 @@ def write(path: Path, chunk_size: int = 600, **options: Any) -> Path:
         {},
         {"use_chunking": False},
         {"index_types": IndexType.NONE},
-        {"repeat_channels": False, "repeat_schemas": False},
     ],
 )
 def test_the_complete_content_is_read_from_every_kind_of_file(tmp_path: Path, options: dict[str, Any]) -> None:

@@ -187,6 +187,18 @@ def touches_live(**changes: Any) -> bool:
     return watched(shared, replace(pressing(), **changes))
 
 
+def keeps_port(volts: float, samples: int = 2) -> bool:
+    """Return whether docking goes on if a live port of 24 V in contact shows another voltage."""
+    shared = scene()
+    shared.enter(State.MEASURE, INF)
+    watches = watch.Watches(shared)
+    found = [watches.problem()]
+    for number in range(samples):
+        shared.observe(replace(pressing(), time=0.05 * (number + 1), target_voltage=volts))
+        found.append(watches.problem())
+    return not any(found)
+
+
 def continues(state: State = State.MEASURE, seen: Observation | None = None, lead: float = 0.0, **changes: Any) -> bool:
     """Return whether a script goes on in this state, whose command leads the arm by so much (m) more than explained."""
 
@@ -237,6 +249,8 @@ OBSERVATION = (
     *fields(may_close, 5.1, (4.9, NAN, -INF), "thermal_reserve"),
     *fields(may_close, True, (False,), "torque_enabled", "tactile_contact"),
     *fields(may_close, "", ("a second tactile_node",), "duplicate_sources"),
+    Limit("port in contact, V", keeps_port, 8.1, 7.9, (2.1, 0.0, -24.0)),  # a third of 24 V
+    Limit("charger_power of a collapse", lambda v: keeps_port(0.0, v), 1, 2, ()),
     *fields(stays_closed, 0.49, (0.51, INF, NAN), "power_age"),
     *fields(stays_closed, 0.24, (0.26, INF, NAN), "servo_age"),
     *fields(stays_closed, 5.1, (4.9, NAN, -INF), "thermal_reserve"),

@@ -156,8 +156,8 @@ def alone_and_in_a_batch(delta: Delta, point: tuple[float, float, float]) -> Inv
 @pytest.mark.parametrize(
     ("value", "status"),
     [
-        *((value, Status.INVALID_INPUT) for value in (math.nan, math.inf)),
-        *((value, Status.UNREACHABLE_FAR | LIMBS) for value in (1e200, -sys.float_info.max)),
+        (math.inf, Status.INVALID_INPUT),
+        (-sys.float_info.max, Status.UNREACHABLE_FAR | LIMBS),
     ],
 )
 @pytest.mark.parametrize("axis", range(3))

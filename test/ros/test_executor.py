@@ -138,10 +138,7 @@ def test_a_service_knows_how_old_its_request_is(node: Node, serve: Serve) -> Non
     assert order_age() == 0.0, "no request is served here"
 
 
-@pytest.mark.parametrize(
-    ("ago", "seconds"),
-    [(1.3, 1.3), (math.inf, 0.0), (-3600.0, 0.0), (1e9, 0.0)],
-)
+@pytest.mark.parametrize(("ago", "seconds"), [(1.3, 1.3), (math.inf, 0.0), (-3600.0, 0.0), (1e9, 0.0)])
 def test_only_a_request_that_surely_is_old_has_an_age(ago: float, seconds: float) -> None:
     sent = 0 if math.isinf(ago) else time.time_ns() - round(1e9 * ago)
     with serving(SimpleNamespace(source_timestamp=sent)):

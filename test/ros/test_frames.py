@@ -22,6 +22,7 @@ from deltacharger_ros import frames as frames_module
 from deltacharger_ros.frames import Contradiction, Frames, TransformError, UnknownFrame
 
 from ..chargers import DEADLINE, Spin, wait_until
+from ..core.test_rotation import drawn
 from ..nodes import options
 from ..transforms import Robot, stamp
 from ..waiting import host
@@ -33,13 +34,6 @@ MOUNT: Pose = (0.31, -0.02, 0.42, 0.5, 0.5, 0.5, 0.5)
 EXACT = 1e-9
 PATIENCE = 10.0  # s, the longest transform_timeout
 Make = Callable[..., Frames]
-
-
-def drawn(source: random.Random) -> Pose:
-    turn = [source.gauss(0.0, 1.0) for _ in range(4)]
-    length = math.hypot(*turn)
-    x, y, z, w = (number / length for number in turn)
-    return source.uniform(-9.0, 9.0), source.uniform(-9.0, 9.0), source.uniform(-1.0, 1.0), x, y, z, w
 
 
 def stamped(pose: Pose, frame: str) -> PoseStamped:
