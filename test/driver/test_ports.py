@@ -9,6 +9,7 @@ import os
 import termios
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import serial
@@ -25,15 +26,9 @@ from deltacharger_driver.ports import PseudoTerminal, open_serial
 from deltacharger_driver.servos.link import ServoLink
 
 from ..emulated_ports import Babbler, use_protocol_1, written
-from ..marks import rest
 from ..plants import BenchArm
 
 _TIOCGEXCL = 0x80045440  # <asm-generic/ioctls.h>; Python's termios lacks it
-
-SIDES: dict[str, Callable[[str], object]] = {
-    "servos": lambda path: ServoLink(path, 1_000_000).open(),
-    "board": lambda path: BoardLink(path).open(),
-}
 
 
 def hung_up_terminal(path: Path) -> None:
@@ -43,7 +38,6 @@ def hung_up_terminal(path: Path) -> None:
     os.close(slave)
 
 
-@pytest.mark.parametrize("side", SIDES)
 @pytest.mark.parametrize(
     ("make", "error", "words"),
     [
@@ -54,20 +48,20 @@ def hung_up_terminal(path: Path) -> None:
     ],
 )
 def test_a_path_that_is_not_a_port_is_named(
-    tmp_path: Path, side: str, make: Callable[[Path], object], error: type[PortError], words: str
+    tmp_path: Path, make: Callable[[Path], object], error: type[PortError], words: str
 ) -> None:
     path = tmp_path / "port"
     make(path)
     with pytest.raises(PortError, match=words) as caught:
-        SIDES[side](str(path))
+        open_serial(str(path), 1_000_000)
     assert type(caught.value) is error
     assert caught.value.port == str(path)
 
 
-@pytest.mark.parametrize("side", SIDES)
-def test_a_port_in_use_is_busy_for_both_drivers(side: str, board_port: str) -> None:
+@pytest.mark.parametrize("link", [BoardLink, lambda path: ServoLink(path, 1_000_000)], ids=["board", "servos"])
+def test_a_port_in_use_is_busy_for_both_drivers(link: Callable[[str], Any], board_port: str) -> None:
     with open_serial(board_port, 115200), pytest.raises(PortBusy, match=f"process {os.getpid()}"):
-        SIDES[side](board_port)
+        link(board_port).open()
 
 
 def test_programs_that_ask_for_no_lock_cannot_open_a_port_either(
@@ -108,10 +102,8 @@ def test_the_systems_error_number_decides(
     assert type(caught.value) is error
 
 
-@pytest.mark.parametrize("speeds", [(3, 1, 3), rest((0, 1, 2)), rest((4, 5, 6))])
-def test_servos_are_found_at_the_speed_of_each(
-    servos: ServoBusEmulator, servo_port: str, speeds: tuple[int, ...]
-) -> None:
+def test_servos_are_found_at_the_speed_of_each(servos: ServoBusEmulator, servo_port: str) -> None:
+    speeds = (3, 1, 3)
     for servo, speed in enumerate(speeds, 1):
         servos.servo(servo).table.set("baud", speed)
     servos.faults.inject("drop", 1, 1)  # a lost reply loses no servo

@@ -8,15 +8,15 @@ from collections.abc import Callable
 
 import pytest
 
-from deltacharger_core.machine import POSITION_P_GAIN, TORQUE_CONSTANT
+from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_core.servo_types import MX_64
 from deltacharger_driver.errors import TrajectoryRefused
 from deltacharger_driver.servos.bus import ServoPhase, ServoReport
 from deltacharger_driver.servos.controller import OPENING_TIME
-from deltacharger_driver.servos.registers import TICK, WATCHDOG
+from deltacharger_driver.servos.registers import TICK
 
 from ..waiting import host
-from .servo_rig import DEFAULT, OVERLOAD, START, Rig
+from .servo_rig import DEFAULT, START, Rig
 
 FAR = (0.3, 0.5, 1.2)
 
@@ -70,34 +70,14 @@ def test_a_single_lost_reply_does_not_stop_and_keeps_the_last_values(rig: Rig) -
     assert reports[2].torque_enabled[0]  # the last known
 
 
-def test_reboot_is_by_request_only_and_leaves_torque_off(rig: Rig) -> None:
+def test_reboot_is_refused_with_torque_and_while_the_cause_persists(rig: Rig) -> None:
     rig.torque_on()
     assert not rig.ask("reboot").success
-    rig.emulator.servo(1).raise_error(OVERLOAD)
-    rig.until(lambda report: report.phase is ServoPhase.OFF)
-    assert not rig.ask("torque_on").success
-    assert rig.cycle().hardware_error[0] == OVERLOAD
-    request = rig.ask("reboot")
-    assert request.success, request.message
-    report = rig.until(lambda report: all(report.valid) and report)
-    assert report.hardware_error == (0, 0, 0)
-    assert rig.arm.torque_enabled() == [False] * 3
-    rig.torque_on()
     rig.arm.temperature[0] = 85.0
     rig.until(lambda report: report.hardware_error[0] and report.phase is ServoPhase.OFF)
     request = rig.ask("reboot")
-    assert not request.success  # the cause persists
+    assert not request.success
     assert "overheating" in request.message
-
-
-def test_a_servo_that_restarts_on_its_own_is_configured_again_without_torque(rig: Rig) -> None:
-    rig.emulator.servo(3).reboot(rig.clock())
-    rig.until(lambda report: not report.valid[2])
-    rig.until(lambda report: all(report.valid))
-    assert rig.emulator.servo(3).table.get("bus_watchdog") == WATCHDOG
-    assert rig.emulator.servo(3).table.get("position_p_gain") == POSITION_P_GAIN
-    assert rig.arm.torque_enabled() == [False] * 3
-    assert any("servo 3" in sentence for _, sentence in rig.events)
 
 
 def test_closing_opens_the_contactor_and_switches_torque_off_whatever_happens(rig: Rig) -> None:

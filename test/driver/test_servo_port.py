@@ -150,14 +150,10 @@ def test_a_reply_with_an_impossible_value_is_counted_and_discarded(
     cycle_until(bus, lambda snapshot: snapshot.complete)
 
 
-@pytest.mark.parametrize("missing", [1, 3])
-def test_a_missing_servo_is_the_only_one_that_is_not_valid(
-    bus: ServoBus, emulator: ServoBusEmulator, missing: int
-) -> None:
-    emulator.faults.missing = {missing}
+def test_a_missing_servo_is_the_only_one_that_is_not_valid(bus: ServoBus, emulator: ServoBusEmulator) -> None:
+    emulator.faults.missing = {1}
     snapshots = [bus.read() for _ in range(UNKNOWN_AFTER + 2)]
-    expected = tuple(servo != missing for servo in (1, 2, 3))
-    assert [snapshot.valid for snapshot in snapshots[1:]] == [expected] * (UNKNOWN_AFTER + 1)
+    assert [snapshot.valid for snapshot in snapshots[1:]] == [(False, True, True)] * (UNKNOWN_AFTER + 1)
     emulator.faults.missing = set()
     cycle_until(bus, lambda snapshot: snapshot.complete)
 

@@ -13,7 +13,6 @@ from deltacharger_driver.board.protocol import (
     decode_ack,
     decode_power,
     encode_close,
-    encode_limit,
 )
 from deltacharger_driver.packets import Packet, PacketDecoder, encode_packet
 
@@ -21,10 +20,8 @@ from .board_host import BoardHost
 
 MS = 1000
 S = 1_000_000
-CLOSED = 3  # the state in which current may flow
 STRONG = "battery 29.7", "target 10.5", "resistance 1"  # a circuit of 19 A without a limit
 LIMITS = ChargeLimits(18.0, 29.4)
-DEAD = LIMITS._replace(dead=True)
 
 
 class Bench:
@@ -136,10 +133,6 @@ class Bench:
         """Command a close and return the error."""
         return self.ask(PacketType.CONTACTOR, encode_close(limits)).error
 
-    def limit(self, current: float) -> int:
-        """Change the largest current, A, and return the error."""
-        return self.ask(PacketType.CONTACTOR, encode_limit(current)).error
-
     def charge(self, duration: int = 1 * S, limits: ChargeLimits = LIMITS) -> Bench:
         """Heartbeat, probe, close, and wait until current flows."""
         self.beating = True
@@ -148,15 +141,6 @@ class Bench:
         assert self.close_contactor(limits) == 0
         self.run(duration)
         self.check(contactor=1, commanded=1, fault=0)
-        return self
-
-    def closed(self, limits: ChargeLimits) -> Bench:
-        """Heartbeat, probe, close within limits, and wait until the contactor has closed."""
-        self.beating = True
-        self.run(0)
-        assert self.probe().error == 0
-        assert self.close_contactor(limits) == 0
-        self.run_until("state", CLOSED, 200 * MS)
         return self
 
     def run_until(self, name: str, value: float, longest: int, step: int = 1 * MS) -> int:

@@ -38,7 +38,7 @@ def test_a_heartbeat_after_its_deadline_during_a_sampling_is_too_late(bench: Ben
     bench.check(fault=BoardFault.HEARTBEAT_LOST)
 
 
-@pytest.mark.parametrize("period", [8 * MS, 12 * MS, 20 * MS])
+@pytest.mark.parametrize("period", [8 * MS, 20 * MS])
 def test_a_slow_poll_opens_between_90_and_100_ms(new_bench: NewBench, period: int) -> None:
     """The time between two polls shortens the deadline, so that 100 ms hold at the pins, but never below 90 ms."""
     bench = new_bench(poll_period=period)

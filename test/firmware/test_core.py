@@ -56,11 +56,6 @@ def test_fuzzing_finds_nothing(programs: Path, packets: int) -> None:
     assert closes > packets / 400
 
 
-@pytest.mark.night
-def test_fuzzing_finds_the_same_on_the_boards_processor(programs: Path, arm_programs: Path) -> None:
-    assert fuzz(arm_programs, 50_000) == fuzz(programs, 50_000)
-
-
 def fuzz(folder: Path, packets: int) -> str:
     """Send damaged packets and return the findings."""
     ended = subprocess.run([folder / "fuzz", str(packets), "11"], capture_output=True, text=True, check=False)

@@ -13,11 +13,14 @@ from typing import Any
 
 import pytest
 
+from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
+from deltacharger_driver.servos.link import ServoLink
 from deltacharger_sim.charger.fault_channel import ControlServer, answer, ask
 from deltacharger_sim.charger.faults import KINDS, Faults, Hardware
 
 from ..driver.board_bench import Bench
-from ..driver.servo_host import Host
+from ..driver.virtual_line import Clock, Line
+from ..plants import BenchArm
 from ..waiting import wait_until
 from .fault_table import INPUTS, ROWS
 
@@ -48,16 +51,20 @@ def test_the_table_has_every_kind() -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_is_caused_and_ended_by_request(kind: str) -> None:
     """On both emulators in virtual time."""
-    servos, board, plug = Host(), Bench(), Plug()
-    hardware: Any = Hardware(servos.bus, board.board, plug, plug, plug)  # type: ignore[arg-type]
-    faults = Faults((), hardware, lambda: servos.now)
+    clock, board, plug = Clock(), Bench(), Plug()
+    servos = ServoBusEmulator(BenchArm(clock=clock))
+    hardware: Any = Hardware(servos, board.board, plug, plug, plug)  # type: ignore[arg-type]
+    faults = Faults((), hardware, clock)
     caused = answer(faults, {"command": "begin", "kind": kind})
     assert [each["kind"] for each in caused["active"]] == ([kind] if KINDS[kind].lasts else [])
     assert plug.plugged is not kind.endswith("unplugged")
     assert answer(faults, {"command": "clear"}) == {"success": True, "active": []}
     assert plug.plugged
-    servos.advance(1.0)
-    assert all(servos.answers(servo) for servo in (1, 2, 3))
+    with Line(servos, clock) as line:
+        clock.sleep(1.0)
+        link = ServoLink(line.path, 1_000_000, handler=line.handler)
+        link.open()
+        assert [link.ping(servo) for servo in (1, 2, 3)] == [311] * 3
     count = len(board.packets)
     board.run(0.5)
     assert len(board.packets) > count

@@ -43,7 +43,7 @@ def test_the_port_is_identified_as_the_board(board_site: BoardSite) -> None:
     assert found.kind == "board", found.details
 
 
-@pytest.mark.parametrize("rate", [30.0, 60.0, 120.0])
+@pytest.mark.parametrize("rate", [30.0, 120.0])
 def test_frames_have_the_requested_rate_on_the_boards_clock(host: BoardHost, rate: float) -> None:
     host.link.set_rate(rate)
     assert host.link.hello().rate == rate
@@ -156,12 +156,6 @@ def test_power_is_sent_at_its_rate_with_possible_values(host: BoardHost) -> None
         assert math.isnan(power.battery_voltage) or 0.0 < power.battery_voltage < LARGEST_VOLTAGE
         assert math.isnan(power.target_voltage) or abs(power.target_voltage) < LARGEST_VOLTAGE
         assert math.isnan(power.charge_current) or abs(power.charge_current) < LEAKAGE
-
-
-def test_an_opening_is_never_refused(host: BoardHost) -> None:
-    for _ in range(3):
-        host.link.contactor(False)
-    assert not any(sample.power.contactor_closed for sample in host.next_powers(3))
 
 
 def test_a_probe_answers_in_time_and_another_may_follow(host: BoardHost, board_site: BoardSite) -> None:
