@@ -15,7 +15,7 @@ from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from deltacharger_core.files import open_file
+from deltacharger_core.files import brief, open_file
 
 CUT_SHORT = "the file ends early: its recorder was stopped"
 """Reason for a truncated but otherwise valid file."""
@@ -29,7 +29,6 @@ _LARGEST_RECORD = 48 * 2**20  # bytes, also of an unpacked chunk; a colour image
 _LARGEST_HEAD = 32_768  # bytes of one record at the head of a file, as docking_recorder_node writes it
 _LARGEST_SUMMARY = 16 * 2**20  # bytes; at 80 bytes a chunk, 200 000 chunks
 _LONGEST = 300  # characters of a reason
-_NAMED_MAX = 5  # files of a folder named in an error
 _CONVERT = (
     "convert a bag in SQLite (db3) or compressed files (zstd) by `rosbags-convert --src BAG --dst NEW "
     "--dst-storage mcap` (pip install rosbags)"
@@ -269,9 +268,8 @@ def _only_recording(folder: Path) -> Path:
         return found[0]
     if not found:
         raise RecordingError(f"{folder} holds no recording (*{BAGS[0]}): give a file, or a folder of `ros2 bag record`")
-    names = ", ".join(path.name for path in found[:_NAMED_MAX])
-    more = " …" if len(found) > _NAMED_MAX else ""
-    raise RecordingError(f"{folder} holds {len(found)} recordings: give one of its files, {names}{more}")
+    names = brief([path.name for path in found])
+    raise RecordingError(f"{folder} holds {len(found)} recordings: give one of its files, {names}")
 
 
 def require_mcap() -> None:

@@ -71,7 +71,7 @@ class Work:
 class WorkServer:
     """Serves an action. A goal waits for the end of its work in a worker of the node's `Spinner`.
 
-    It logs the end of each goal, cancels, and goals without listening clients.
+    It logs the end of each goal, and cancels.
 
     Args:
         node: owner.
@@ -99,7 +99,7 @@ class WorkServer:
         may_cancel: Callable[[GoalHandle], bool] = lambda handle: True,
         accepted: Callable[[GoalHandle], None] = lambda handle: handle.execute(),
     ) -> None:
-        self._node, self._name, self._log = node, name, Log(node)
+        self._name, self._log = name, Log(node)
         self._may_cancel = may_cancel
         self._begin, self._is_served = begin, is_served
         self._outcome, self._refusals, self._result = outcome, refusals, result
@@ -139,15 +139,9 @@ class WorkServer:
             result = self._result(self._outcome(error), None)
             self._log_end(handle, result, "refused" if isinstance(error, self._refusals) else "not started")
             return result
-        has_client = False
         while not work.done.wait(_CHECK_PERIOD):
             if not self._is_served(work) and not work.done.is_set():
                 work.end(self._outcome(LookupError("the goal was lost")))
-            before, has_client = has_client, self._has_client()
-            if before and not has_client:
-                self._log.info(
-                    f"{self._title(handle)}: its client has gone; the goal goes on until it ends or is cancelled"
-                )
         if work.outcome.success:
             handle.succeed()
         elif work.outcome.canceled and handle.is_cancel_requested:
@@ -170,7 +164,3 @@ class WorkServer:
             (self._log.warning if outcome.lost_the_charge else self._log.info)(line)
         except Exception as error:
             self._log.error(f"cannot log the end of a goal: {type(error).__name__}: {error}")
-
-    def _has_client(self) -> bool:
-        """Return whether any client follows goals of this action."""
-        return self._node.count_subscribers(f"{self._node.resolve_topic_name(self._name)}/_action/feedback") > 0

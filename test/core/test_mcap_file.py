@@ -88,7 +88,7 @@ def test_of_a_folder_the_only_recording_is_read(tmp_path: Path) -> None:
     path = write(tmp_path / "bag_0.mcap")
     assert (McapFile(tmp_path).path, McapFile(tmp_path).counts.total()) == (path, len(MESSAGES))
     write(tmp_path / "bag_1.mcap")
-    with pytest.raises(RecordingError, match=r"holds 2 recordings.* bag_0\.mcap, bag_1\.mcap"):
+    with pytest.raises(RecordingError, match=r"holds 2 recordings.*'bag_0\.mcap', 'bag_1\.mcap'"):
         McapFile(tmp_path)
 
 
