@@ -19,7 +19,7 @@ import yaml
 
 from deltacharger_bringup.cli.main import main
 from deltacharger_lab.campaigns import docking
-from deltacharger_lab.campaigns.compare import compare_numbers, compare_rates, mcnemar
+from deltacharger_lab.campaigns.compare import compare_numbers, compare_rates
 from deltacharger_lab.campaigns.docking import RESULTS
 from deltacharger_lab.campaigns.draw import draw
 from deltacharger_lab.campaigns.runner import run_batch, run_missing
@@ -207,11 +207,6 @@ def test_a_known_difference_of_rates_is_found() -> None:
     assert found["interval"][1] < 0.0
     assert (found["only_a"], found["only_b"]) == (18, 0)
     assert found["p"] == pytest.approx(2.0**-17)
-
-
-def test_mcnemar_exactly() -> None:
-    assert [mcnemar(5, 5), mcnemar(2, 8), mcnemar(8, 2)] == pytest.approx([1.0, 0.109375, 0.109375])
-    assert mcnemar(40_000, 40_000) == pytest.approx(1.0)
 
 
 def test_the_command_reports_differences(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
