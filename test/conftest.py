@@ -57,8 +57,4 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    named = [device for device, _ in config.getoption("--port")]
-    for device in DEVICES:
-        if named.count(device) > 1:
-            raise pytest.UsageError(f"--port {device}=PATH is given {named.count(device)} times; give it once")
     widen(config.getoption("--host-deadlines"))

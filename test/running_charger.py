@@ -169,8 +169,9 @@ class RunningCharger:
 
     def set(self, name: str, **parameters: Any) -> None:
         """Set parameters of a node of this process, such as the fault of a mock."""
-        values = [Parameter(key, value=value) for key, value in parameters.items()]
-        for result in self.node(name).set_parameters(values):
+        for result in self.node(name).set_parameters(
+            [Parameter(key, value=value) for key, value in parameters.items()]
+        ):
             assert result.successful, result.reason
 
     def wait_until_ready(self) -> None:

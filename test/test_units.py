@@ -50,8 +50,6 @@ def estimate(**pose: float) -> None:
 
 WAYS: dict[str, tuple[str, Callable[[], Any]]] = {
     "a length of docking": ("millimetres", lambda: DockingParameters(standoff=18.0)),
-    "a speed of docking": ("mm/s", lambda: DockingParameters(travel_speed=120.0)),
-    "an angle of docking": ("degrees", lambda: DockingParameters(critical_angle=12.0)),
     "the charger's mount": ("millimetres", lambda: DockingNodeParameters(base_pose=MOUNT)),
     "the camera's mount": ("millimetres", lambda: Mount.from_numbers(MOUNT)),
     "a Dock goal": ("millimetres", lambda: dock((0.0, 0.0, 80.0))),
@@ -94,7 +92,6 @@ def test_only_a_number_that_fits_in_the_other_unit_is_asked_about() -> None:
     assert outside(0.07, -0.06, 0.06, "m") == "0.07 is outside -0.06 to 0.06 m"
     assert outside(-9.0, -0.06, 0.06, "m") == "-9.0 is outside -0.06 to 0.06 m; is it in millimetres? Give metres"
     assert outside(300.0, -0.06, 0.06, "m") == "300.0 is outside -0.06 to 0.06 m"
-    assert outside(90, 0, 1, "") == "90 is outside 0 to 1"
     assert outside(math.nan, 0.0, 1.0, "rad") == "nan is outside 0 to 1 rad"
     assert "inf is outside" in far((0.0, -math.inf))
     assert not far((ON_ROBOT, -ON_ROBOT, 0.0))

@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import astuple, replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from deltacharger_bringup.cli.main import main
+from deltacharger_bringup.cli.main import COMMANDS, build_parser, main
+from deltacharger_bringup.cli.output import WRONG_INPUT
 from deltacharger_kinematics.geometry import load_geometry
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.node_table import NODES
@@ -73,6 +74,29 @@ def test_a_packaged_scene_is_valid_and_closed_to_the_network(name: str) -> None:
     assert (scene.name, scene.network) == (name, "localhost")
     assert scene.touches_hardware is (name in ("bench", "oakd", "rgbd", "tactile_lab"))
     assert not list(problems(scene))
+
+
+def test_ports_agree_with_the_udev_rules() -> None:
+    rules = (Path(__file__).parents[2] / "config" / "udev" / "99-deltacharger.rules").read_text(encoding="utf-8")
+    for name in ("oakd", "rgbd", "tactile_lab"):
+        for port in filter(None, astuple(load_scene(name).ports)):
+            assert f'SYMLINK+="{Path(port).name}"' in rules
+
+
+def test_the_level_target_is_at_the_pose_that_recording_assumes() -> None:
+    scene = load_scene("level")
+    assert scene.simulation is not None
+    assert scene.goal is not None
+    target = scene.simulation.world.target
+    options = build_parser(COMMANDS).parse_args(["tactile", "record", "--set", "reference", "--out", "F.npz"])
+    assert (1e3 * target.x, 1e3 * target.y, 1e3 * target.z) == (options.x_mm, options.y_mm, options.z_mm)
+    assert target.roll == 0.0
+    assert all(getattr(scene.goal, axis) == getattr(target, axis) for axis in ("x", "y", "z", "roll"))
+
+
+def test_a_command_that_a_scene_cannot_serve_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dock", "--scene", "tactile_lab"]) == WRONG_INPUT
+    assert "starts no docking_node" in capsys.readouterr().err
 
 
 def test_the_geometry_of_the_simulated_arm_is_checked_with_the_scene(tmp_path: Path) -> None:

@@ -65,20 +65,6 @@ class TestContact:
 
 
 class TestRecord:
-    def test_a_good_docking_leaves_a_clean_record(self, arm: ArmFactory) -> None:
-        good = arm(WorldParameters(target=SIX_DEGREES))
-        good.charge()
-        world, record = good.world, good.world.record
-        assert world.circuit.current == pytest.approx(10.0)
-        assert (record.energised_shorts, record.energised_unsafe, record.parted_live) == (0, 0.0, 0)
-        assert (record.contacts, record.unpowered_live) == (1, 0)
-        assert record.energised > 0.5
-        # After a command jump of 16.5 mm it strikes at up to 0.25 m/s; 3 kg on 2e5 N/m add up to 200 N to 90 N at rest.
-        assert world.mechanics.contact_force < record.peak_force < 290.0
-        good.power.open(world.time)
-        good.run(0.1)
-        assert record.broken_current < 1.0
-
     def test_a_short_while_charging_is_recorded_and_one_without_energy_is_not(self, arm: ArmFactory) -> None:
         dragged = arm(WorldParameters(servo=plain_servo(), target=SIX_DEGREES))
         dragged.charge()

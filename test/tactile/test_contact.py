@@ -60,15 +60,6 @@ def test_a_batch_equals_its_single_contacts() -> None:
     batch_equals_its_single_contacts(lambda pose: MODEL.solve(pose, 60.0, (0.0005, -0.001), WAVES), 1e-9)
 
 
-def test_mirroring_the_pose_mirrors_the_pads() -> None:
-    many, tilt = poses(50, 1), np.array([0.0007, -0.0011])
-    straight = MODEL.solve(many, 60.0, tilt)
-    over_y = MODEL.solve(many * [1, -1, -1], 60.0, tilt * [-1, 1])
-    assert np.allclose(over_y, straight[:, :, ::-1, :], atol=1e-9)
-    over_x = MODEL.solve(many * [-1, 1, -1], 60.0, tilt * [1, -1])
-    assert np.allclose(over_x, straight[:, ::-1, :, ::-1], atol=1e-9)
-
-
 def test_signs_follow_the_target() -> None:
     """The pads read pressure where trigonometry puts the ridge's points."""
     up = MODEL.solve((0.0, 0.005, 0.0), 60.0)[0]

@@ -68,17 +68,6 @@ def test_energises_at_seven_degrees_of_either_sign_and_never_beyond_twelve(wide:
     assert not act[tilted >= math.radians(12.0)].any()
 
 
-def test_mirrored_frames_give_the_mirrored_pose(wide: Any) -> None:
-    left, right, _, estimate = wide
-    rows = np.flatnonzero(estimate.in_range)[:200]
-    over_y = MODEL.predict(left[rows][:, ::-1], right[rows][:, ::-1])
-    over_x = MODEL.predict(right[rows][:, :, ::-1], left[rows][:, :, ::-1])
-    assert np.allclose(over_y.angle, -estimate.angle[rows], atol=1e-5)
-    assert np.allclose(over_y.vertical, -estimate.vertical[rows], atol=1e-7)
-    assert np.allclose(over_x.horizontal, -estimate.horizontal[rows], atol=1e-6)
-    assert np.allclose(over_x.vertical, estimate.vertical[rows], atol=1e-7)
-
-
 def test_out_of_range_without_both_pads_or_beyond_training(wide: Any) -> None:
     left, right, pose, good = wide
     chosen = np.flatnonzero(good.in_range)[:40]

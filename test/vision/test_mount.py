@@ -14,7 +14,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deltacharger_core.frames import rotation
-from deltacharger_core.parameters import ParameterError
 from deltacharger_vision.errors import MountError, TerminalError
 from deltacharger_vision.mount import Mount, Placed, is_front, leaning_normal, line_angle, quaternion
 from deltacharger_vision.ros.messages import detection_message
@@ -120,11 +119,9 @@ def test_a_wrong_file_is_refused_by_name(tmp_path: Path, kind: Any, text: str, n
     assert caught.value.source == str(path)
 
 
-def test_a_negative_covariance_or_length_is_refused() -> None:
+def test_a_negative_covariance_is_refused() -> None:
     with pytest.raises(MountError, match="negative"):
         Mount(np.eye(4), -np.eye(6))
-    with pytest.raises(ParameterError, match="gap"):
-        Terminal(gap=-0.001)
 
 
 leans = st.floats(-0.6, 0.6)

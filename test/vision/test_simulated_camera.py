@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated camera: geometry, noise, saturation, blur, depth of stereo matching; then scenes and obstructions."""
+"""The simulated camera: geometry, noise, repeatability, depth of stereo matching."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 
 from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
-from deltacharger_vision.rendering.scene import Box, CameraParameters, RenderedScene, shifted
+from deltacharger_vision.rendering.scene import CameraParameters, RenderedScene
 
 from .views import DISTORTIONS, EVEN, FACES, IDEAL, VIEWS, edge_errors, linear, view
 
@@ -34,24 +34,6 @@ def test_the_bars_edges_are_where_their_corners_project(pose: np.ndarray, distor
     assert len(errors) == 24
     assert np.abs(errors).max() < 0.5
     assert np.abs(errors).mean() < 0.15
-
-
-def box(x: float, z: float, size: tuple[float, float, float], red: float) -> Box:
-    return Box(shifted((x, 0.0, z)), size, (red, 0.0, 0.9 - red), in_camera=True)
-
-
-def pixel(boxes: tuple[Box, ...], column: int) -> tuple[bool, float]:
-    """Return whether a pixel of the middle row is red, and its depth."""
-    image = taken(RenderedScene(parameters=EVEN, foreground=boxes, target=False), view(1.0))
-    red, _, blue = image.color[200, column].astype(int)
-    return bool(red > blue), float(image.depth[200, column])
-
-
-def test_near_things_hide_far_ones_in_any_order() -> None:
-    near, far = box(0.0, 0.3, (0.05, 0.05, 0.02), 0.9), box(0.0, 0.4, (0.2, 0.2, 0.02), 0.0)
-    for boxes in ((near, far), (far, near)):
-        assert pixel(boxes, 320) == (True, pytest.approx(0.29, abs=1e-6))
-        assert pixel(boxes, 400) == (False, pytest.approx(0.39, abs=1e-6))
 
 
 def wall_at(distance: float) -> np.ndarray:
