@@ -23,8 +23,6 @@ _LONGEST_PROBLEM = 300  # characters
 _TAG = "tag:yaml.org,2002:"
 _PLAIN = ("null", "bool", "int", "float")  # besides text, lists and mappings
 
-_OPENCV_HEADER = b"%YAML:1.0"
-
 # In YAML 1.1 (unlike 1.2) 1e5 and 1e-3 are strings, because a float needs a dot and a sign.
 _EXPONENT = re.compile(r"^[-+]?(?:[0-9][0-9_]*)(?:\.[0-9_]*)?[eE][-+]?[0-9]+$")
 
@@ -62,7 +60,7 @@ def read_yaml(path: str | Path, *, first: bool = False) -> Any:
     except FileRefused as error:
         raise YamlError(path, str(error.strerror)) from error
     try:
-        text = _plain(content).decode("utf-8")
+        text = content.decode("utf-8")
         _bound(text)
         documents = yaml.load_all(text, _loader())
         found = next(documents, None)
@@ -75,13 +73,6 @@ def read_yaml(path: str | Path, *, first: bool = False) -> Any:
         raise YamlError(path, f"not valid YAML: {where}{error.problem}"[:_LONGEST_PROBLEM]) from error
     except (yaml.YAMLError, ValueError) as error:  # also text that is not UTF-8
         raise YamlError(path, f"not valid YAML: {error}"[:_LONGEST_PROBLEM]) from error
-
-
-def _plain(content: bytes) -> bytes:
-    """Return YAML without OpenCV's own header and tag, which no other reader knows."""
-    if not content.startswith(_OPENCV_HEADER):
-        return content
-    return content.removeprefix(_OPENCV_HEADER).replace(b"!!opencv-matrix", b"")
 
 
 def read_declared(path: str | Path, kind: type[T]) -> T:
@@ -109,19 +100,15 @@ def write_yaml(path: str | Path, content: Mapping[str, Any], comment: str = "") 
     Raises:
         OSError: the file cannot be written.
     """
-    head = "".join(f"# {line}".rstrip() + "\n" for line in comment.splitlines())
-    write_text(path, head + yaml_text(content))
-
-
-def yaml_text(content: Mapping[str, Any]) -> str:
-    """Return a mapping as YAML, as `write_yaml` writes it."""
     import yaml
 
     class Dumper(yaml.SafeDumper):
         def ignore_aliases(self, data: Any) -> bool:
             return True  # `read_yaml` refuses aliases
 
-    return str(yaml.dump(dict(content), Dumper=Dumper, sort_keys=False, default_flow_style=None, width=120))
+    head = "".join(f"# {line}".rstrip() + "\n" for line in comment.splitlines())
+    text = yaml.dump(dict(content), Dumper=Dumper, sort_keys=False, default_flow_style=None, width=120)
+    write_text(path, head + text)
 
 
 def _bound(text: str) -> None:
