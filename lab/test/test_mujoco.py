@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The light model against MuJoCo and statics with equal parameters: at rest, in contact, leaning, in motion."""
+"""The light model against MuJoCo and statics with equal parameters: at rest, in contact, leaning."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger report footprint`: measurements of a known process and of a scene, and the command's contract."""
+"""`deltacharger report footprint`: which scenes it measures, its medians and targets."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger report simulation`: its converged reference (kinematics, energy, statics, models), and arithmetic."""
+"""`deltacharger report simulation`: its converged reference (kinematics, energy, statics), and arithmetic."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The runtime of docking's and the mission's scripts: waiting, errors thrown into them, and replies."""
+"""The runtime of scripts of docking and mission: a script is closed on every way out, the first reply counts."""
 
 from __future__ import annotations
 
