@@ -94,6 +94,7 @@ def test_a_reachable_point_outside_the_box_or_the_joint_limits_has_a_flag() -> N
     assert solved.status == Status.OUTSIDE_WORKSPACE
     assert np.isfinite(solved.angles).all()
     assert Status.JOINT_LIMIT | Status.LIMB_0 in DELTA.inverse((0.0, 0.0, 0.178)).status
+    assert Status.SWING_LIMIT in DELTA.inverse((0.15, 0.0, 0.08)).status
     for point in ((0.0, 0.0, 0.08), (0.0, 0.0, 0.115), (0.0, 0.0, 0.178), (0.15, 0.0, 0.08)):
         angles, bits, margin = SCALAR.solve(*point) or ((), -1, math.nan)
         alone = DELTA.inverse(point)
@@ -135,6 +136,17 @@ def test_angle_offset_is_true_angle_minus_commanded_angle() -> None:
     offset = Delta(DeltaGeometry(limbs=(LimbAdjustment(angle_offset=0.02),) * 3))
     assert np.allclose(offset.inverse(DOCK).angles + 0.02, DELTA.inverse(DOCK).angles, atol=1e-15)
     assert np.allclose(offset.holding_torque(DOCK), DELTA.holding_torque(DOCK), atol=1e-15)
+
+
+def test_a_singular_pose_and_a_joint_that_turns_freely_are_flagged() -> None:
+    """All rods in one plane; a platform joint on its motor axis (powers of two, so exactly)."""
+    flat = DeltaGeometry(base_radius=0.125, platform_radius=0.0625, arm=0.125, rod=0.1875, z_offset=0.0)
+    _, bits, _ = ScalarDelta(flat).solve(0.0, 0.0, 0.0) or ((), 0, 0.0)
+    assert Status.NEAR_TYPE_2 in Status(bits) & Delta(flat).inverse((0.0, 0.0, 0.0)).status
+    square = DeltaGeometry(base_radius=0.25, platform_radius=0.125, arm=0.25, rod=0.25, z_offset=0.5)
+    solved = Delta(square).inverse((0.125, 0.0, -0.5))
+    assert solved.status == Status.INDETERMINATE | Status.LIMB_0
+    assert math.isnan(solved.angles[0])
 
 
 LIMBS = Status.LIMB_0 | Status.LIMB_1 | Status.LIMB_2

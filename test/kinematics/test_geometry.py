@@ -25,7 +25,6 @@ CALIBRATED = DeltaGeometry(
         *((name, 0.0) for name in ("base_radius", "arm", "rod", "platform_radius")),
         *(("arm", value) for value in (-0.1, math.nan, math.inf, "0.1", True)),
         ("joint_min", 2.0),
-        ("platform_mass", -0.1),
         ("workspace_min", (0.0, 0.0, 0.2)),
         ("workspace_max", (0.1, 0.1, math.nan)),
         ("limbs", (LimbAdjustment(),) * 2),
@@ -41,16 +40,6 @@ def test_a_file_keeps_every_digit(tmp_path: Path) -> None:
     save_geometry(CALIBRATED, path, "made by a test\nsecond line")
     assert load_geometry(path) == CALIBRATED
     assert path.read_text().startswith("# made by a test\n# second line\n")
-
-
-def test_missing_keys_keep_their_defaults(tmp_path: Path) -> None:
-    path = tmp_path / "geometry.yaml"
-    path.write_text("arm: 0.11\nlimbs: [{}, {rod: 0.181}, {}]\n")
-    assert load_geometry(path) == DeltaGeometry(
-        arm=0.11, limbs=(LimbAdjustment(), LimbAdjustment(rod=0.181), LimbAdjustment())
-    )
-    path.write_text("")
-    assert load_geometry(path) == DeltaGeometry()
 
 
 @pytest.mark.parametrize(
