@@ -219,9 +219,7 @@ def test_a_held_lease_charges_and_is_reported_until_it_lapses(rig: Rig) -> None:
     power, pads = (status_of(rig, part) for part in ("power stage", "tactile arrays"))
     assert 0.0 < float(power["lease_left"].removesuffix(" s")) <= host(0.25)
     assert int(power["lease_renewals"]) > 0
-    assert 0.0 < float(power["rate"].removesuffix(" Hz")) <= 25.0
     assert 0.0 < float(pads["rate"].removesuffix(" Hz")) <= 140.0
-    assert "late_frames" in pads
     renewed = time.monotonic()
     wait_until(lambda: not rig.is_closed())
     assert time.monotonic() - renewed < host(0.4)

@@ -152,7 +152,6 @@ class FirmwareBoard:
     def __init__(
         self,
         plant: FirmwarePlant,
-        probe_time: float = 0.150,
         seed: int | None = None,
         stage: Any = None,
     ) -> None:
@@ -163,7 +162,6 @@ class FirmwareBoard:
         self._known: dict[str, str] = {}
         self._boot_wanted = True
         self._polled = 0
-        self.host.command(f"probe_time {round(probe_time * 1e6)}")
         self._stage_voltage = 0.0 if stage is None else stage.stage_voltage
         if stage is not None:
             self.host.command(f"steps_up {stage.steps_up:d}")
