@@ -171,7 +171,6 @@ def test_records_go_to_the_given_folder_or_nowhere(tmp_path: Path) -> None:
 REFUSED = [
     ("simulated", {"servo_port": "/dev/null"}, "has its own ports"),
     ("mocks", {"frame_prefix": "left side/"}, "frame_prefix"),
-    ("mocks", {"board_port": "/dev/null"}, "no node of this scene opens it"),
     ("bench", {"servo_port": "/dev/no_such_servo"}, "there is no such port"),
     ("bench", {"model": "nowhere.npz"}, "there is no such file"),
     ("bench", {"record": "/proc/records"}, "cannot be written"),

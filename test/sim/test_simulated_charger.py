@@ -44,11 +44,6 @@ def test_three_servos_and_a_board_answer_until_it_stops(tmp_path: Path) -> None:
         assert charger.errors() == []
         assert charger.record()["energised_shorts"] == 0
     assert list(tmp_path.iterdir()) == []
-    charger.stop()
-    with SimulatedCharger(simulated()) as charger:
-        folder = Path(charger.servo_port).parent
-        assert folder.is_dir()
-    assert not folder.exists(), "its own folder"
 
 
 def test_a_scenes_faults_begin_and_end_on_schedule(tmp_path: Path) -> None:

@@ -76,6 +76,7 @@ class TestRecord:
         assert dragged.world.snapshot().clearance < 0.0
         assert dragged.world.record.energised_shorts == 1
         assert dragged.world.record.energised_unsafe > 0.0
+        assert (dragged.world.record.parted_live, dragged.world.record.unpowered_live) == (0, 0)
         dead = arm(WorldParameters(target=TargetParameters(roll=math.radians(15.0))))
         dead.dock()
         assert dead.world.snapshot().clearance < 0.0

@@ -11,6 +11,7 @@ import pytest
 
 from deltacharger_sim.pads import generate_continuous
 from deltacharger_tactile import Estimate, default_model
+from deltacharger_tactile.features import fill_dead
 
 from ..marks import rest
 
@@ -80,3 +81,12 @@ def test_out_of_range_without_both_pads_or_beyond_training(wide: Any) -> None:
         assert not estimate.sure.any()
     far, other, pose = dockings(40, 0.002, 32.0, range(342, 344), 6)
     assert not MODEL.predict(far, other).in_range[np.abs(pose[:, 2]) > math.radians(22.0)].any()
+
+
+def test_a_dead_taxel_is_filled_from_its_row() -> None:
+    frames = np.zeros((1, 2, 10, 10))
+    frames[0, 0, 4] = 2.0
+    frames[0, 0, 4, 5] = np.nan
+    filled = fill_dead(frames)
+    assert filled[0, 0, 4, 5] == pytest.approx(1.5)
+    assert np.isfinite(filled).all()

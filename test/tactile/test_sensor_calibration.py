@@ -172,19 +172,19 @@ def test_applying_undoes_gain_and_load_shift() -> None:
 def test_correction_moves_the_estimate_and_derived_values(model: PoseEstimator) -> None:
     frames = dock(40).frames
     raw = model.predict(frames[:, 0], frames[:, 1])
-    made, got = FULL, FULL.correct(raw)
-    for axis, bias, stddev in zip(AXES, made.bias, made.bias_stddev, strict=True):
+    got = FULL.correct(raw)
+    for axis, bias, stddev in zip(AXES, FULL.bias, FULL.bias_stddev, strict=True):
         assert np.allclose(getattr(got, axis), getattr(raw, axis) - bias, equal_nan=True)
         spread = np.hypot(getattr(raw, f"{axis}_stddev"), stddev)
         assert np.allclose(getattr(got, f"{axis}_stddev"), spread, equal_nan=True)
     assert not np.any(got.in_range & ~raw.in_range)
     assert not np.any(got.sure & ~raw.sure)
     # An error along x affects the offset across the bars only through roll.
-    vague, aside = (dataclasses.replace(made, bias_stddev=np.eye(3)[axis] * 0.01).correct(raw) for axis in (1, 0))
+    vague, aside = (dataclasses.replace(FULL, bias_stddev=np.eye(3)[axis] * 0.01).correct(raw) for axis in (1, 0))
     assert (vague.in_range.any(), vague.sure.any(), aside.sure.any()) == (True, False, True)
     assert not np.any(aside.sure & (0.01 * np.abs(np.sin(raw.angle)) > Limits().across_stddev))
     assert np.any(raw.sure & ~aside.sure)
-    far = dataclasses.replace(made, bias=np.array([0.0, 0.02, 0.0])).correct(raw)
+    far = dataclasses.replace(FULL, bias=np.array([0.0, 0.02, 0.0])).correct(raw)
     assert not far.in_range[raw.vertical < 0.0].any()
 
 
