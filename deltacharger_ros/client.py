@@ -165,11 +165,12 @@ class ChargerClient(Guest):
         """Whether the service detect_electrodes has a server now."""
         return self.node.count_services("detect_electrodes") > 0
 
-    def wait_until_ready(self, timeout: float) -> bool:
+    def wait_until_ready(self, timeout: float, stop: threading.Event | None = None) -> bool:
         """Wait until `is_ready`.
 
         Args:
             timeout: s; discovery alone takes up to 3 s. A charger that was discovered has 5 s to answer in any case.
+            stop: ends the wait early when set.
 
         Returns:
             Whether it is ready.
@@ -177,10 +178,10 @@ class ChargerClient(Guest):
         Raises:
             ClientError: a charger was discovered, but does not answer.
         """
-        return self._wait(self.is_ready, timeout, None)
+        return self._wait(self.is_ready, timeout, stop)
 
     def wait_until_it_answers(self, timeout: float, stop: threading.Event | None = None) -> bool:
-        """Wait until `answers`, or until `stop` is set; result and errors as in `wait_until_ready`."""
+        """Wait until `answers`; arguments, result and errors as in `wait_until_ready`."""
         return self._wait(self.answers, timeout, stop)
 
     def _wait(self, condition: Callable[[], bool], timeout: float, stop: threading.Event | None) -> bool:
