@@ -153,7 +153,7 @@ def test_while_the_contactor_is_closed_the_arm_stands_still_and_keeps_its_torque
         assert call(servos.client.reboot, Trigger.Request()).success
         assert servos.client.set_torque(True).success
         becomes(ContactorState.OPEN)
-        servos.client.send((60.0, [angle + 0.4 for angle in START]))
+        servos.client.send((180.0, [angle + 0.4 for angle in START]))  # longer than any wait
         wait_until(lambda: servos.goals()[0] > START[0] + TICK, "a running line")
         stage.closed = True
         becomes(ContactorState.CLOSED)
