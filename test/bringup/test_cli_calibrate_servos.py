@@ -19,7 +19,6 @@ import deltacharger_records.arm_client as measuring
 from deltacharger_bringup.cli.output import FAILED, CommandError
 from deltacharger_core.servo_types import MeasuredServos
 from deltacharger_core.yaml_file import read_declared
-from deltacharger_kinematics.calibration.servo_procedure import Gains
 from deltacharger_records.arm_client import ArmError
 
 from ..chargers import Process, wait_until
@@ -58,20 +57,6 @@ def test_torque_is_reported_off_only_if_it_was_switched_off(arm: Any, where: str
     with pytest.raises(CommandError, match="docking_node") as caught:
         measured()
     assert (caught.value.exit_code, "the torque is off" in str(caught.value)) == (FAILED, is_off)
-
-
-def test_a_failed_way_home_keeps_the_measurement(arm: Any, capsys: pytest.CaptureFixture[str]) -> None:
-    arm.retire.side_effect = ArmError("cannot go that way")
-    task, gains, found = measured()
-    assert (task.torque_constant, gains, found) == (1.3, Gains(500, 3), MEASURED)
-    assert "cannot go that way" in capsys.readouterr().err
-
-
-def test_unknown_gains_are_refused_before_anything_moves(arm: Any) -> None:
-    arm.parameters_of.side_effect = lambda name: {}
-    with pytest.raises(CommandError, match="gains"):
-        measured()
-    arm.start.assert_not_called()
 
 
 WORLD = {

@@ -7,7 +7,6 @@ import argparse
 import contextlib
 import errno
 import json
-import math
 import os
 import sys
 from pathlib import Path
@@ -16,7 +15,7 @@ import pytest
 
 from deltacharger_bringup.cli import scene
 from deltacharger_bringup.cli.arguments import between, integer
-from deltacharger_bringup.cli.main import COMMANDS, build_parser
+from deltacharger_bringup.cli.main import COMMANDS
 from deltacharger_bringup.launch_arguments import CHARGER, VIEW, Options, given, in_launch, refuse_unknown_arguments
 from deltacharger_core import streams
 from deltacharger_scenes import executables
@@ -39,32 +38,20 @@ COLOR = "vision detect text.png"
 REFUSED = {
     "no-such-command": "no-such-command",
     "scene nowhere": "nowhere",
-    "dock --x-mm left": "--x-mm",
-    "dock --x-mm 1 --camera": "--camera",
     "dock --scene bench --x-mm 3": "--y-mm, --z-mm",
     "dock --namespace 'bad name'": "--namespace",
     "dock --picture /proc/run.png": "/proc/run.png",
     "dock --scene bad.yaml": "seed",
     "simulate --directory never --scene bench": "bench",
     f"{FIT} text.csv --out /proc/arm.yaml": "/proc/arm.yaml",
-    f"{FIT}": "DATA",
     f"{FIT} text.csv": "text.csv",
-    f"{FIT} text.csv --measure new.csv": "--measure",
-    "calibrate camera": "--views",
     f"{PRINT} board.pdf": ".svg",
     f"{BOARD} --board-x-mm 20": "--board-y-mm, --board-z-mm",
-    "calibrate tactile --out new.yaml": "--data",
     "calibrate tactile --data text.npz --out new.yaml": "data set",
-    RECORD: "--set",
-    f"{RECORD} --set angle": "--angle-deg",
     f"{RECORD} --set angle --angle-deg 6": "-5 to 5",
-    f"{RECORD} --set reference --offsets-mm 1": "--offsets-mm",
     f"{RECORD} --set reference --out text.npz": "npz file",
-    "vision detect": "IMAGE",
     COLOR: "--camera-info",
     f"{COLOR} --camera-info k.yaml": "k.yaml",
-    f"{COLOR} --color-topic /x": "--color-topic",
-    "vision detect . --depth text.png": "--depth",
     "vision detect bare": "holds no recording",
     "replay text.mcap": "MCAP",
     "view --save /proc/view.rrd": "/proc/view.rrd",
@@ -103,13 +90,9 @@ def test_wrong_input_ends_with_2_and_a_noun(
 
 def test_scene_lists_and_explains(capsys: Capture) -> None:
     assert {"simulated", "mocks", "bench"} <= {each["scene"] for each in answer(capsys, "scene")[1]["scenes"]}
-    stiffness = "simulation.world.servo.stiffness"
     (explained,) = answer(capsys, "scene", "simulated")[1]["scenes"]
-    assert (explained["ok"], any(each["key"] == stiffness for each in explained["keys"])) == (True, True)
-    short, everything = (run(capsys, "scene", "simulated", *more)[1] for more in ((), ("--all",)))
-    assert "simulation.world.target.x = 0.004 m" in short
-    assert stiffness not in short
-    assert f"{stiffness} = 15 N·m/rad" in everything
+    assert explained["ok"]
+    assert "simulation.world.servo.stiffness" in {each["key"] for each in explained["keys"]}
 
 
 def test_help_lists_every_command_and_version_is_one_line(capsys: Capture) -> None:
@@ -158,13 +141,6 @@ def test_a_full_disk_is_a_failed_job_and_an_unusable_path_is_wrong_input(
 
     monkeypatch.setattr(scene, "scene", fail)
     refuses(capsys, "scene", "mount.yaml", exit_code)
-
-
-def test_common_forms_of_numbers_and_namespaces_are_accepted() -> None:
-    words = ["dock", "--z-mm", "-8e1", "--x-mm", "-.5", "--deadline-s", "0", "--namespace", "/robot/arm/"]
-    options = build_parser(COMMANDS).parse_args(words)
-    assert (options.z_mm, options.x_mm, options.deadline_s) == (-80.0, -0.5, math.inf)
-    assert options.namespace == "robot/arm"
 
 
 @pytest.mark.parametrize("text", ["nan", "inf", "1e999", "9" * 5000, "", "1,5", "0x10", "2 3"])

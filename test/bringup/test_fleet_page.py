@@ -8,6 +8,7 @@ import re
 import signal
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ import yaml
 from deltacharger_docking.codes import Code
 from deltacharger_mission.dialogue import Stage
 from deltacharger_scenes.composition import Composition
-from deltacharger_scenes.scene import parse_scene
+from deltacharger_scenes.scene import Scene
 
 from ..chargers import Process
 
@@ -65,13 +66,11 @@ def test_the_command_lines_use_existing_fields() -> None:
 
 @pytest.mark.rest
 def test_the_client_reports_startcharging_as_vda5050_requires(
-    context: Any, namespace: str, start: Callable[..., Process]
+    quick_scene: Scene, context: Any, namespace: str, start: Callable[..., Process]
 ) -> None:
-    from ..docking.mock_docking import MockDocking
-
-    docking = MockDocking(context, namespace)
+    scene = replace(quick_scene, nodes=(*quick_scene.nodes, "mission_node"))
     words = (sys.executable, str(CLIENT), "{}", "--ros-args", "-r", f"__ns:=/{namespace}")
-    with Composition(parse_scene({"nodes": ["mock_detector_node", "mission_node"]}, "standing"), context, namespace):
+    with Composition(scene, context, namespace) as charger:
         client = start(*(word.format(1) for word in words))
         assert client.end() == 0, (client.out, client.err)
         states = [json.loads(line) for line in client.out]
@@ -89,5 +88,4 @@ def test_the_client_reports_startcharging_as_vda5050_requires(
         last = json.loads(client.out[-1])
         assert (last["actionStatus"], last["batteryState.charging"]) == ("FINISHED", False)
         assert [error["errorType"] for error in last["errors"]] == ["CANCELED"]
-        assert (docking.docked, docking.undockings) == (False, 2)
-    docking.stop()
+        assert not charger.node("mock_tactile_node").contactor_closed

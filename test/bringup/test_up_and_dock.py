@@ -66,20 +66,6 @@ def test_a_closed_terminal_ends_up_in_order_and_a_second_charger_is_refused_at_o
     assert up().end(signal.SIGINT) == 130
 
 
-@pytest.mark.night
-def test_a_charger_without_the_lock_is_found_over_ros_and_not_disturbed(
-    up: Run, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    first = up()
-    result(run("dock", "--json", "--no-picture"), 0)
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))  # as for another user or another computer
-    second = run("up")
-    assert second.end() == 1
-    assert any("already answers" in line for line in second.err)
-    result(run("undock", "--json"), 0)
-    assert first.end(signal.SIGTERM) == 0
-
-
 @pytest.mark.parametrize("presses", [rest(1), night(2)])
 def test_ctrl_c_ends_dock_and_the_charger_it_started_with_130_and_one_object(run: Run, presses: int) -> None:
     dock = run("dock", "--json", "--no-picture")
@@ -98,8 +84,6 @@ def test_ctrl_c_ends_dock_and_the_charger_it_started_with_130_and_one_object(run
     [
         "undock",
         "tactile record --out new.npz --set reference",
-        "calibrate servos --out new.yaml",
-        "calibrate kinematics --measure new.csv",
         "calibrate camera --views new --take 5 --board-x-mm 0 --board-y-mm 0 --board-z-mm 0",
     ],
 )

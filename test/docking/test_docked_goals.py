@@ -149,14 +149,10 @@ def test_energy_that_was_not_all_measured_is_unknown_and_never_more_than_ordered
     assert 100.0 < delivered < 1000.0
 
 
-def jump(run: VirtualCharger, seconds: float) -> None:
-    run.distort = lambda seen: replace(seen, time=seen.time + seconds)
-
-
 @pytest.mark.parametrize("seconds", [3600.0, -3600.0])
 def test_a_clock_that_jumps_opens_the_contactor(seconds: float) -> None:
     run = docked()
-    jump(run, seconds)
+    run.distort = lambda seen: replace(seen, time=seen.time + seconds)
     run.tick()
     assert not run._energised
     run.until(lambda: run.machine.status.state is State.IDLE, 30.0)
@@ -164,41 +160,6 @@ def test_a_clock_that_jumps_opens_the_contactor(seconds: float) -> None:
     assert_safe_at_home(run)
 
 
-def cancel_while_the_camera_looks(run: VirtualCharger) -> None:
-    run.answer[Service.DETECT] = lambda reply: None
-    reach(run, State.LOCATE, DockGoal(None))
-
-
-def cancel_while_undocking(run: VirtualCharger) -> None:
-    assert run.dock().success
-    run.outcome = None
-    run.machine.start_undock("", run.observe())
-    run.run(0.3)
-
-
-def cancel_while_the_arm_retracts(run: VirtualCharger) -> None:
-    feel(run, angle=math.radians(14.0))
-    reach(run, State.RETRACT)
-
-
-@pytest.mark.parametrize(
-    ("until", "code"),
-    [
-        (cancel_while_the_camera_looks, Code.CANCELED),
-        (cancel_while_undocking, Code.CANCELED),
-        (cancel_while_the_arm_retracts, Code.CRITICAL_ANGLE),
-    ],
-)
-def test_a_cancel_ends_at_home_and_keeps_the_result(until: Callable[[VirtualCharger], None], code: Code) -> None:
-    run = quick_charger()
-    until(run)
-    run.machine.cancel()
-    assert run.finish(60.0).code is code
-    assert run.states.count(State.RETRACT) <= 1
-    assert_safe_at_home(run)
-
-
-NAN3 = (math.nan,) * 3
 NAMES = "servo_state from /servo_node and /stranger"
 
 

@@ -3,31 +3,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
 
-from deltacharger_docking import press
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.observation import DockGoal
 from deltacharger_sim.parameters import ContactParameters, ServoParameters
 from deltacharger_sim.virtual.virtual_charger import GOAL, TICK, VirtualCharger
 
 from ..marks import rest
-from .dockings import MILLIMETRE, assert_safe_at_home, charger, commands, spoil
+from .dockings import MILLIMETRE, assert_safe_at_home, charger, commands
 
 STRIKE_MOST = 130.0
 """N without the magnets, on electrodes of 1e5 N/m, with impact. The magnets' snap takes 40 to 60. At the 0.12 m/s of
 free travel, platform and rotors (0.012 kg·m², 0.11 m/rad together: 3.3 kg) take 69, and the servos push on."""
-
-
-def move_target(run: VirtualCharger, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> None:
-    """Shift the target by these mm during the docking."""
-    target = run.world.parameters.target
-    moved = replace(target, x=target.x + x * MILLIMETRE, y=target.y + y * MILLIMETRE, z=target.z + z * MILLIMETRE)
-    run.world.parameters = replace(run.world.parameters, target=moved)
-    run.world.mechanics._target_z = moved.z  # type: ignore[attr-defined]
 
 
 def until_lifted(run: VirtualCharger) -> None:
@@ -88,40 +78,8 @@ def test_a_wrong_known_place_does_no_harm(z: float) -> None:
 def test_a_target_that_disappeared_between_two_presses_is_reported() -> None:
     run = charger(9, 6, seed=2, coarse=True)
     until_lifted(run)
-    move_target(run, z=60.0)
+    target = run.world.parameters.target
+    run.world.parameters = replace(run.world.parameters, target=replace(target, z=target.z + 0.060))
+    run.world.mechanics._target_z = target.z + 0.060  # type: ignore[attr-defined]
     assert run.finish(120.0).code is Code.NO_CONTACT
     assert_safe_at_home(run)
-
-
-def lines(run: VirtualCharger) -> list[Callable[[], bool]]:
-    """Conditions of each line of contact, in order: fast, slow, pressing; then again."""
-    status, z = run.machine.status, run.world.snapshot
-    depth = GOAL.position[2] - press._SEARCH_FROM
-    return [
-        lambda: status.state is State.CONTACT and z().position[2] < depth,
-        lambda: status.state is State.CONTACT and z().position[2] > depth,
-        lambda: status.state is State.CONTACT and z().contact_force > 0.0,
-        lambda: status.alignments > 0 and status.state is State.CONTACT and z().contact_force == 0.0,
-        lambda: status.alignments > 0 and status.state is State.CONTACT and z().contact_force > 0.0,
-    ]
-
-
-@pytest.mark.parametrize(
-    ("line", "code"),
-    [*((line, Code.CANCELED) for line in range(5)), *(rest(line, Code.SERVO_STALE) for line in range(5))],
-)
-def test_a_cancel_or_a_fault_on_each_line_ends_safely(line: int, code: Code) -> None:
-    run = charger(9, 6, seed=2)
-    run.begin(DockGoal(GOAL))
-    run.until(lines(run)[line], 60.0)
-    if code is Code.CANCELED:
-        run.machine.cancel()
-    else:
-        spoil(run, servo_age=1.0)
-        run.until(lambda: run.machine.status.code is not Code.NONE, 5.0)
-        spoil(run)
-    assert run.finish(60.0).code is code
-    assert pushed(run) < STRIKE_MOST
-    assert not run.observe().torque_enabled
-    if code is Code.CANCELED:
-        assert_safe_at_home(run)

@@ -15,7 +15,7 @@ from deltacharger_sim.parameters import ContactParameters, PlatformParameters, T
 from deltacharger_sim.virtual.virtual_charger import GOAL, VirtualCharger
 
 from ..marks import rest
-from .dockings import MILLIMETRE, assert_safe_at_home, charger, quick_charger, spoil
+from .dockings import MILLIMETRE, assert_safe_at_home, charger, quick_charger
 
 REFUSED = {Code.CRITICAL_ANGLE, Code.ESTIMATE_UNSURE, Code.NO_TACTILE_CONTACT}
 CHARGED, EITHER = {Code.NONE}, {Code.NONE, Code.CRITICAL_ANGLE, Code.MISALIGNED}
@@ -41,17 +41,6 @@ def test_it_finds_docks_charges_and_undocks() -> None:
     assert run.states[-4:] == [State.ENERGISE, State.CHARGING, State.RETRACT, State.IDLE]
     assert run.undock().success, "undocking when undocked"
     assert_safe_at_home(run)
-
-
-@pytest.mark.parametrize(
-    ("x", "y"), [rest(8, 8), rest(-8, 8), rest(-8, -8), rest(8, -8), (0, 14), rest(0, -14)]
-)  # at 14 mm a pad has lost its ridge
-def test_targets_aside_are_aligned(x: float, y: float) -> None:
-    run = charger(x, y, coarse=True)
-    outcome = run.dock()
-    assert outcome.success, outcome.message
-    assert outcome.alignments >= 1
-    assert max(abs(value) for value in run.world.snapshot().misalignment[:2]) < 3.5 * MILLIMETRE
 
 
 @pytest.mark.parametrize(
@@ -96,17 +85,6 @@ def test_an_invalid_detection_moves_nothing(monkeypatch: pytest.MonkeyPatch, rep
         assert outcome.suggested_base == BasePose(0.0, 0.2, pytest.approx(0.22))
 
 
-@pytest.mark.parametrize(("volts", "code"), [(23.6, Code.VOLTAGE_OUT_OF_RANGE), (math.nan, Code.POWER_STALE)])
-def test_a_battery_that_is_unfit_or_unknown_is_not_energised(volts: float, code: Code) -> None:
-    run = quick_charger()
-    spoil(run, battery_voltage=volts)
-    outcome = run.dock()
-    assert outcome.code is code
-    assert "own battery" in outcome.message
-    assert run.world.record.contacts == 0, "it is known before anything touches"
-    assert_safe_at_home(run)
-
-
 STIFF = 1e6  # N/m; softer bars both press in spite of 2° of pitch
 
 
@@ -149,7 +127,6 @@ def test_a_pitch_that_lifts_a_bar_is_never_energised_and_reported_if_a_camera_sa
 
 
 DEGREE = math.radians(1.0)
-UNKNOWN = math.nan
 
 
 def leaning_at(yaw: float, pitch: float, stddev: float = 0.5, age: float = 0.0) -> ElectrodePose:
@@ -197,13 +174,3 @@ def test_a_large_pitch_is_refused_before_anything_moves_without_a_suggested_base
     assert (outcome.code, outcome.retriable, outcome.suggested_base) == (Code.LEANING, False, None)
     assert "pitched" in outcome.message
     assert_nothing_was_moved(run)
-
-
-def test_the_suggested_base_pose_faces_electrodes_of_known_yaw_squarely() -> None:
-    far = replace(leaning_at(8.0, 0.0), position=(0.0, 0.02, 0.5))
-    _, outcome = dock_at(far, seen=True)
-    assert outcome.code is Code.UNREACHABLE
-    assert outcome.suggested_base == BasePose.before(far.position, far.yaw)
-    assert outcome.suggested_base.electrodes == pytest.approx(far.position)
-    _, outcome = dock_at(replace(far, yaw_stddev=math.nan), seen=True)
-    assert outcome.suggested_base == BasePose(0.0, 0.02, 0.42, 0.0)

@@ -15,7 +15,7 @@ import pytest
 
 from deltacharger_core.machine import MAGNET_FORCE, MAGNET_WIDTH, PAD_YAW_STIFFNESS
 from deltacharger_docking.arm import RemainingShare
-from deltacharger_docking.clearance import MisalignmentEstimate, Verdict, clearance, judge
+from deltacharger_docking.clearance import MisalignmentEstimate, Verdict, judge
 from deltacharger_docking.observation import ElectrodePose
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.place import (
@@ -71,17 +71,6 @@ def test_contacts_beside_the_target_give_the_yaw_with_its_sign(yaw: float, camer
     assert abs(felt.horizontal) > 3.0 * abs(estimate.horizontal)
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.12, -0.12])
-def test_the_offset_across_is_the_measured_one_and_the_vertical_follows_from_it(angle: float) -> None:
-    place, felt = target_place(PARAMETERS, seen(roll=angle)), contact(0.001, 1.0, 0.002, angle)
-    place.add(felt, 0.0, 0.0, PUSH)
-    estimate = place.combined(felt)
-    assert (estimate.across, estimate.across_stddev, estimate.angle) == (felt.across, felt.across_stddev, angle)
-    assert estimate.vertical * math.cos(angle) - estimate.horizontal * math.sin(angle) == pytest.approx(felt.across)
-    x, y = place.off
-    assert y * math.cos(angle) - x * math.sin(angle) == pytest.approx(felt.across)
-
-
 def one_pad(left: float, right: float) -> MisalignmentEstimate:
     return MisalignmentEstimate(0.0, 0.01, 0.0, 1e-3, 0.05, 0.02, in_range=False, left_force=left, right_force=right)
 
@@ -93,8 +82,6 @@ def test_a_pad_that_carries_all_means_a_yaw_toward_it_if_both_ridges_are_on_thei
     assert left > 0.0
     assert math.isfinite(place.least_yaw(one_pad(35.0, 0.5), 0.0, PUSH)), "the magnets pull: it is not far aside"
     assert math.isnan(place.least_yaw(one_pad(22.0, 0.5), 0.0, PUSH)), "they do not"
-    assert math.isnan(place.least_yaw(one_pad(6.0, 0.5), 0.0, 0.0)), "too little information"
-    assert math.isnan(place.least_yaw(one_pad(40.0, 20.0), 0.0, PUSH)), "both bear"
     assert math.isnan(place.least_yaw(one_pad(60.0, 0.5), -0.02, PUSH)), "its place loads that pad as well"
     assert math.isnan(target_place(PARAMETERS).least_yaw(one_pad(60.0, 0.5), 0.0, PUSH)), "the place is unknown"
     parallel = target_place(DockingParameters(yaw_stddev=0.0), seen())
@@ -133,21 +120,6 @@ def test_estimates_that_contradict_the_arms_moves_are_detected() -> None:
     assert (honest.contradicts_itself, frozen.contradicts_itself) == (False, True)
 
 
-def test_another_contact_gains_nothing_at_a_known_place_and_much_if_a_lean_hides_it() -> None:
-    sure = known(bias_stddev=0.0, place_stddev=1e-4)
-    sure.update(LookAlong(0.0, 0.0, 1e-4, 60.0 + PUSH, 2.0, PUSH, 0.0, 0.0))
-    assert sure.risk(0.004) < 1e-3
-    assert all(plan.gain < 1e-3 for plan in sure.plans(0.004))
-    hidden = known(bias_stddev=0.02)
-    hidden.update(LookAlong(0.0, 0.0, 1e-4, 50.0 + PUSH, 2.0, PUSH, 0.0, 0.0))
-    plans = hidden.plans(0.004)
-    assert hidden.risk(0.004) > 0.1
-    assert max(plan.gain for plan in plans if plan.aside) > 0.05
-    assert max(plans, key=lambda plan: plan.gain).contacts > 1, "force beside the target informs most"
-    assert all(0.0 <= plan.gain <= hidden.risk(0.004) for plan in plans)
-
-
-GAP, LENGTH = 0.0037, 0.035
 LEVEL = [item for item in fields(MisalignmentEstimate) if item.name not in ("across", "across_stddev", "classes")]
 """Fields of estimates without an offset across."""
 
@@ -156,11 +128,6 @@ def felt(
     degrees: float, vertical: float = 0.0, sigma_degrees: float = 0.1, sigma: float = 2e-4
 ) -> MisalignmentEstimate:
     return MisalignmentEstimate(math.radians(degrees), math.radians(sigma_degrees), vertical, sigma, 0.0, 1e-3)
-
-
-@pytest.mark.parametrize(("degrees", "vertical"), [(12.07, 0.0), (8.0, 0.0025), (3.9, 0.005)])
-def test_clearance_vanishes_where_the_bars_meet(degrees: float, vertical: float) -> None:
-    assert clearance(math.radians(degrees), vertical, GAP, LENGTH) == pytest.approx(0.0, abs=3e-5)
 
 
 def test_uncertainty_only_makes_the_verdict_stricter() -> None:
@@ -183,9 +150,7 @@ def test_an_unknown_offset_across_follows_from_the_pose_with_both_errors() -> No
     angle = math.radians(10.0)
     pose = MisalignmentEstimate(angle, 0.002, 0.003, 2e-4, 0.004, 1e-3)
     assert pose.across == pytest.approx(0.003 * math.cos(angle) - 0.004 * math.sin(angle))
-    random = np.random.default_rng(4)
-    y, x = 0.003 + 2e-4 * random.standard_normal(100_000), 0.004 + 1e-3 * random.standard_normal(100_000)
-    assert pose.across_stddev == pytest.approx(np.std(y * math.cos(angle) - x * math.sin(angle)), rel=0.02)
+    assert pose.across_stddev == pytest.approx(math.hypot(2e-4 * math.cos(angle), 1e-3 * math.sin(angle)))
     assert MisalignmentEstimate.of(SimpleNamespace(**{item.name: getattr(pose, item.name) for item in LEVEL})) == pose
     assert not MisalignmentEstimate(math.nan, math.nan, math.nan, math.nan, math.nan, math.nan).complete
 

@@ -20,7 +20,6 @@ from .dockings import MILLIMETRE, charger, commands, decisions, docked, quick_ch
 _WELD = {"power_fault": 7}
 _LIVE = {"contactor_closed": True, "charge_current": 8.0}
 SLIPPERY = ContactParameters(friction=0.02)
-MOST = 0.150  # s from an onset to the opening
 
 
 # Law 1: where the arm is.
@@ -97,22 +96,6 @@ def test_a_target_that_rolls_while_it_is_measured_is_named() -> None:
     assert outside(run) < 0.0
 
 
-@pytest.mark.parametrize("phase", [State.MEASURE, State.ENERGISE, State.RETRACT])
-def test_lost_torque_is_noticed_in_every_phase(phase: State) -> None:
-    run = quick_charger()
-    if phase is State.RETRACT:
-        reach(run, State.CONTACT)
-        run.machine.cancel()
-    else:
-        reach(run, State.CONTACT)
-    run.until(lambda: run.machine.status.state is phase, 30.0)
-    run._torque = False
-    began = run.now
-    run.until(lambda: run.outcome is not None, 10.0)
-    assert "lost their torque" in run.machine.status.message
-    assert run.now - began < 1.0
-
-
 # Law 2: zero is measured in free air, and a push is heard by two senses.
 
 
@@ -171,27 +154,6 @@ def test_a_target_that_moves_on_the_pads_opens_before_a_short(shift: tuple[float
     run.run(0.1)
     assert run.machine.status.code is Code.NO_CONTACT
     assert run.world.record.energised_unsafe == run.world.record.energised_shorts == 0
-
-
-@pytest.mark.parametrize(
-    ("shown", "code", "least", "most"),
-    [
-        ({"battery_voltage": 15.0}, Code.VOLTAGE_OUT_OF_RANGE, 4.9, 5.1),
-        ({"battery_voltage": 35.0}, Code.VOLTAGE_OUT_OF_RANGE, 0.1, MOST),
-        ({"battery_voltage": math.nan}, Code.POWER_STALE, 0.1, MOST),
-        ({"target_voltage": 31.0}, Code.VOLTAGE_OUT_OF_RANGE, 0.1, MOST),
-        ({"target_voltage": 3.0}, Code.VOLTAGE_OUT_OF_RANGE, 0.1, MOST),
-        ({"target_voltage": -5.0}, Code.REVERSE_POLARITY, 0.1, MOST),
-        ({"target_voltage": math.nan}, Code.POWER_STALE, 0.1, MOST),
-    ],
-)
-def test_both_voltages_are_supervised_while_current_flows(
-    shown: dict[str, Any], code: Code, least: float, most: float
-) -> None:
-    run = docked()
-    spoil(run, **shown)
-    assert least <= until_open(run) <= most
-    assert run.machine.status.code is code
 
 
 @pytest.mark.parametrize("shown", [_WELD, _LIVE], ids=["welded", "current"])

@@ -66,22 +66,6 @@ def test_a_suggested_base_pose_is_read_with_its_yaw_and_an_invalid_yaw_gives_non
         assert io.read_dock(2, End.FAILED, result, None).suggested is None
 
 
-def test_a_detection_is_read_with_its_lean_and_a_contradictory_one_fails() -> None:
-    answer = DetectElectrodes.Response(success=True)
-    answer.detection.header.frame_id = "charger_base"
-    seen = answer.detection.pose
-    seen.pose.orientation.y, seen.pose.orientation.w = math.sin(0.05), math.cos(0.05)
-    seen.covariance[28] = 0.02**2
-    reply = io.read_detection(1, answer)
-    assert reply.electrodes is not None
-    assert (reply.electrodes.yaw, reply.electrodes.yaw_stddev) == pytest.approx((0.1, 0.02))
-    assert math.isnan(reply.electrodes.pitch)
-    answer.detection.roll = 0.1
-    reply = io.read_detection(1, answer)
-    assert (reply.end, reply.electrodes) == (End.FAILED, None)
-    assert "contradicts itself" in reply.message
-
-
 def test_long_messages_are_cut_and_long_frame_names_refused() -> None:
     answer, result = DetectElectrodes.Response(message=LONG), Dock.Result(error_message=LONG)
     for reply in (io.read_detection(1, answer), io.read_dock(2, End.FAILED, result, None)):

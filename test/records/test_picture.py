@@ -11,7 +11,7 @@ import pytest
 
 from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.codes import Code
-from deltacharger_records.replay.picture import PictureError, draw, headline
+from deltacharger_records.replay.picture import PictureError, draw
 from deltacharger_records.replay.run import Phase, Run, Series, Touch
 from deltacharger_ros.outcomes import Outcome
 
@@ -41,22 +41,6 @@ def test_it_is_drawn_from_any_data(run: Run, tmp_path: Path) -> None:
     for place in (tmp_path / "no" / "such" / "folder.png", tmp_path / "dock.xyz"):
         with pytest.raises(PictureError, match=place.name):
             draw(run, place)
-
-
-@pytest.mark.parametrize(
-    ("result", "charged", "last", "title"),
-    [
-        (outcome(), 9.0, "charging", "Docked and charging"),
-        (outcome(), 9.0, "idle", "Docked and charged"),
-        (outcome(), math.nan, "charging", "Docked"),
-        (outcome(Code.NO_CONTACT), math.nan, "idle", "Not docked: no contact"),
-        (outcome(Code.NO_CONTACT), 9.0, "idle", "Charged, then no contact"),
-        (None, math.nan, "measure", "Unfinished record"),
-    ],
-)
-def test_the_title_tells_how_it_ended(result: Outcome | None, charged: float, last: str, title: str) -> None:
-    run = Run(phases=[Phase(last, 0.0, 1.0)], charged=charged, results=[result] if result else [])
-    assert headline(run)[0] == title
 
 
 def test_a_series_stays_bounded_and_keeps_its_span() -> None:

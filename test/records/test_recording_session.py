@@ -160,13 +160,7 @@ def test_the_sets_are_the_papers() -> None:
         assert offsets == {(x, y) for x in OFFSETS_MM for y in OFFSETS_MM}
     angle = part_of("angle", repeat=100).poses()
     assert len(angle) == 100
-    steps = np.array([(pose.horizontal, pose.vertical) for pose in angle]) / 0.0004  # a tenth of 4 mm
-    assert np.allclose(steps, np.round(steps))
-    assert np.abs(steps).max() == pytest.approx(5.0)  # a tenth of 20 mm
     assert all(pose == CommandedPose(0.0, 0.0, 0.0) for pose in part_of("reference").poses())
-    sweep = np.array([(pose.horizontal, pose.vertical) for pose in part_of("sweep", repeat=100).poses()])
-    assert sweep.min() < -0.008
-    assert 0.008 < sweep.max() <= 0.012
 
 
 PART = Part("reference", 0.0, 10, 0, 0.0, 0.0, 80.0)

@@ -15,14 +15,11 @@ from typing import Any
 
 import pytest
 
-from ..chargers import Spin, wait_until
-from ..nodes import options
 from .docking_tapes import NAMES, RECORDED, decision, docking, measured, raw, readings, refused, result, state, write
 
 pytest.importorskip("mcap", reason="replays with deltacharger[record]")
 
 from deltacharger.msg import DockingState, ServoState
-from rclpy.node import Node
 from rclpy.serialization import serialize_message
 
 from deltacharger_core.machine import JOINTS
@@ -33,11 +30,10 @@ from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_records.node_parameters import with_geometry
 from deltacharger_records.recording import mcap_recording
 from deltacharger_records.recording.mcap_recording import McapWriter
-from deltacharger_records.replay.record import Recorder, replay
-from deltacharger_records.replay.words import numbers, story, why
-from deltacharger_ros import qos
+from deltacharger_records.replay.record import replay
+from deltacharger_records.replay.words import story, why
 
-from ..bringup.command import Capture, answer, refuses, run
+from ..bringup.command import Capture, answer, refuses
 
 pytestmark = pytest.mark.ros
 
@@ -89,11 +85,9 @@ def test_a_critical_angle_is_explained_by_the_remaining_clearance(tilted: Path, 
 @pytest.mark.parametrize(
     ("code", "message", "nouns"),
     [
-        (Code.CANCELED, "cancelled", ("client canceled", "MEASURE after 2.0 s")),
         (Code.STUCK, "the magnets held against 2.8 A", ("STUCK", "by hand")),
         (Code.MISALIGNED, "after 15 alignments", ("after 15 alignments", "1.0 mm ± 0.1 mm", "4.1 mm of clearance")),
         (Code.ESTIMATE_UNSURE, "it stayed unsure", ("0 of 1 measurements", "Check pads and target")),
-        (Code.TACTILE_STALE, "frames stopped", ("TACTILE_STALE", "frames stopped", "cable")),
     ],
 )
 def test_every_ending_is_explained_with_a_remedy(
@@ -116,21 +110,11 @@ def test_the_story_is_in_order_with_every_state_and_decision(tilted: Path, capsy
         *("idle", "accepted", "approach", "contact", "contact", "measure", "measured", "measured"),
         *("interrupted", "retract", "retracted", "idle"),
     ]
-    has(lines[6], "sure", "angle 12.5° ± 0.3°, vertical 0.0 mm ± 0.1 mm, horizontal 0.0 mm ± 1.0 mm")
     code, told = answer(capsys, "replay", tilted)
     assert (code, told["story"], told["why"]) == (0, lines, why(found))
     assert told["outcome"] == {"success": False, "code": 403, "name": "CRITICAL_ANGLE", "message": TILTED}
-    assert [each["state"] for each in told["phases"]] == ["idle", "approach", "contact", "measure", "retract", "idle"]
-    assert told["decisions"][-1]["kind"] == "retracted"
     assert told["measurements"][1]["angle"] == pytest.approx(0.2217, abs=1e-4)
     assert "misalignment" in told["dropped"]["missing"]
-
-
-def test_numbers_have_the_unit_of_their_name() -> None:
-    values = {"angle_rad": 0.1, "x_m": -0.00125, "share": 0.036467, "margin_3_sigma_m": 0.005, "v_V": float("inf")}
-    assert numbers(values) == "angle 5.7°, x −1.2 mm, share 0.0365, margin at 3σ 5.0 mm, v infinite"
-    assert numbers({"estimated_Nm_per_rad": 17.284}) == "estimated 17.3 N·m/rad"
-    assert numbers({"damping_1_Nms_per_rad": 0.752}) == "damping 1 0.75 N·m·s/rad"
 
 
 def test_a_folder_is_listed(tapes: Path, tmp_path: Path, capsys: Capture) -> None:
@@ -141,8 +125,6 @@ def test_a_folder_is_listed(tapes: Path, tmp_path: Path, capsys: Capture) -> Non
     (tmp_path / "link.mcap").symlink_to("tilted.mcap")
     (tmp_path / "notes.txt").write_text("not listed")
     (tmp_path / "bag.db3").write_bytes(b"SQLite format 3\0")
-    chatter = {"/chatter": RECORDED[NAMES["docking_decision"]]}
-    McapWriter((tmp_path / "other.mcap").open("wb"), chatter).close()
     states = {NAMES["docking_state"]: RECORDED[NAMES["docking_state"]]}
     with McapWriter((tmp_path / "bag.mcap").open("wb"), states) as writer:  # as `ros2 bag record` would
         writer.add(state(0.0, State.IDLE))
@@ -150,13 +132,9 @@ def test_a_folder_is_listed(tapes: Path, tmp_path: Path, capsys: Capture) -> Non
     records = {each["file"]: each for each in found["records"]}
     assert (code, set(records)) == (0, {path.name for path in tmp_path.iterdir()} - {"notes.txt"})
     assert ("rosbags-convert" in records["bag.db3"]["problem"], records["bag.mcap"]["outcome"]) == (True, "")
-    assert (records["other.mcap"]["time"], "docking_state" in records["other.mcap"]["problem"]) == (None, True)
     assert ("pipe" in records["pipe.mcap"]["problem"], "MCAP" in records["bad.mcap"]["problem"]) == (True, True)
-    assert records["link.mcap"]["bytes"] == records["tilted.mcap"]["bytes"] > 0
     assert records["tilted.mcap"]["request_id"] == "r/1"
     assert records["tilted.mcap"]["duration"] == pytest.approx(4.0, abs=0.1)
-    printed = run(capsys, "replay", tmp_path)[1]
-    assert (len(printed.splitlines()), "1970" in printed) == (len(records), False)
 
 
 def test_two_chargers_in_one_recording_need_a_namespace(tmp_path: Path, capsys: Capture) -> None:
@@ -228,22 +206,3 @@ def test_a_record_is_replayed_with_its_own_settings(tmp_path: Path, settings: di
     assert len(motion["z"]) == 50
     right = [motion["z"][-1] == pytest.approx(PLACE[2], abs=1e-9), motion["force"][-1] == pytest.approx(PUSH, abs=1e-6)]
     assert right == [own, own]
-
-
-def test_dock_prints_the_force_of_the_running_charger(
-    context: Any, namespace: str, spin: Spin, settings: dict[str, Any]
-) -> None:
-    charger = spin(Node("docking_node", **options(context, namespace)))
-    for name, value in settings.items():
-        if not charger.has_parameter(name):
-            charger.declare_parameter(name, value)
-    publisher = charger.create_publisher(ServoState, "servo_state", qos.LATEST)
-    with Recorder(context, namespace) as recorder:
-
-        def is_right() -> bool:
-            publisher.publish(pushing())
-            return recorder.force() == recorder.force()
-
-        wait_until(is_right, "a force")
-        assert recorder.force() == pytest.approx(PUSH, abs=1e-6)
-        assert recorder.run.motion.arrays()["force"] == pytest.approx(PUSH, abs=1e-6), "from the first sample on"

@@ -10,12 +10,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
-from deltacharger_bringup.cli.output import DONE, FAILED, INTERRUPTED, WRONG_INPUT
+from deltacharger_bringup.cli.output import FAILED, INTERRUPTED, WRONG_INPUT
 from deltacharger_scenes.scene import parse_scene
-from deltacharger_tactile.dataset import SUBSET_POSITION, Dataset
+from deltacharger_tactile.dataset import Dataset
 
 from ..chargers import DEADLINE, Process, wait_until
 from ..marks import night, rest
@@ -74,51 +73,6 @@ def answer(process: Process, code: int, number: int | None = None) -> dict[str, 
     assert process.end(number) == code, (process.out, process.err)
     assert len(process.out) == 1
     return dict(json.loads(process.out[0]))
-
-
-@pytest.mark.night
-def test_a_set_makes_one_file_of_rows_felt_at_the_commanded_places(
-    record: Recorder, charger: Recorded, tmp_path: Path
-) -> None:
-    shape = ("--frames", "3", "--rig", "7")
-    position = ("--set", "position", "--repeat", "1", "--offsets-mm", "-5", "5", *shape)
-    result = answer(record(*position), DONE)
-    assert (result["dockings"], result["remaining"], result["simulated"]) == (4, 0, True)
-    charger.assert_safe()
-    contacts = charger.world.record.contacts
-    again = record(*position, "--namespace", "nobody_here")  # a complete set needs no charger
-    assert answer(again, DONE)["recorded"] == 0
-    assert charger.world.record.contacts == contacts
-    data = Dataset.load(tmp_path / "F.npz")
-    assert list(data.attempt) == [0, 1, 2, 3]
-    assert (set(data.subset), set(data.rig), data.threshold) == ({SUBSET_POSITION}, {7}, 0.25)
-    places = {(round(1e3 * x), round(1e3 * y)) for x, y in zip(data.horizontal, data.vertical, strict=True)}
-    assert places == {(x, y) for x in (-5, 5) for y in (-5, 5)}
-    assert np.all((data.current >= 0.4) & (data.current <= 0.5))
-    assert data.left[data.left > 0.0].min() >= 0.25
-    assert data.left.max() > 1.0
-
-
-@pytest.mark.night
-def test_a_kill_loses_no_reported_docking_and_the_same_call_continues_after_an_undock(
-    record: Recorder, charger: Recorded, tmp_path: Path
-) -> None:
-    words = ("--set", "reference", "--repeat", "3", "--tare-every", "2")
-    first = record(*words)
-    first.wait_for_line("1 of 3", first.err)
-    wait_until(charger.touches, "the second contact")
-    assert first.end(signal.SIGKILL) == -signal.SIGKILL
-    assert any(charger.world.torque)
-    before = Dataset.load(tmp_path / "F.npz")
-    assert len(before) >= sum(" of 3  " in line for line in first.err) >= 1
-    assert "deltacharger undock" in answer(record(*words), FAILED)["error"]
-    charger.go_home()
-    result = answer(record(*words), DONE)
-    assert (result["remaining"], result["dockings"]) == (0, 3)
-    charger.assert_safe()
-    after = Dataset.load(tmp_path / "F.npz")
-    assert np.array_equal(after.left[: len(before)], before.left)
-    assert (list(after.attempt), len(set(after.session)) >= 2) == ([0, 1, 2], True)
 
 
 @pytest.mark.parametrize("number", [rest(signal.SIGINT), night(signal.SIGTERM)])

@@ -29,7 +29,6 @@ Array = NDArray[np.float64]
 
 URDF = Path(__file__).resolve().parents[2] / "urdf"
 XACRO = URDF / "deltacharger.urdf.xacro"
-LAUNCH = URDF.parent / "launch" / "view.launch.py"
 BAKED = URDF / "deltacharger.urdf"
 EXACT = 1e-9  # m
 CALIBRATED = DeltaGeometry(

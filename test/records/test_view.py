@@ -7,7 +7,6 @@ import contextlib
 import math
 import signal
 import socket
-import sys
 import urllib.request
 from collections.abc import Callable
 from importlib.util import find_spec
@@ -22,7 +21,6 @@ from numpy.typing import NDArray
 from deltacharger_bringup.cli.main import main
 from deltacharger_docking.codes import State
 
-from ..bringup.command import Capture, refuses
 from ..chargers import Process, new_namespace, wait_until
 from .docking_tapes import docking, readings, state, write
 
@@ -92,13 +90,6 @@ def test_fast_topics_are_thinned_and_slow_ones_and_states_are_complete(shown: Re
     assert states == ["idle", "approach", "contact", "measure", "charging"]
     assert [state[0] for _, state in shown.rows("state/3_contactor", "StateChange:state")] == ["open", "closed"]
     assert shown.scalars("plots/energy")[-1, 1] > 0.0
-
-
-def test_without_a_screen_the_message_names_alternatives(capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "platform", "linux")
-    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
-    refuses(capsys, "view", "--save")
 
 
 @pytest.fixture

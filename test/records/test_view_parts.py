@@ -3,14 +3,13 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from typing import Any
 
 import numpy as np
 import pytest
 
-from deltacharger_records.view.shapes import DEAD, FULL, NOISE, pad_picture
+from deltacharger_records.view.shapes import FULL, pad_picture
 
 from ..bringup.command import Capture, refuses
 
@@ -24,17 +23,6 @@ def test_a_pad_is_shown_as_seen_from_the_charger() -> None:
     assert picture.shape == (10, 10, 3)
     assert tuple(picture[0, 9]) == TOP
     assert {tuple(pixel) for pixel in picture.reshape(-1, 3)} == {EMPTY, TOP}
-
-
-def test_the_scale_rises_to_the_sensors_range_and_only_dead_taxels_are_grey() -> None:
-    forces = np.linspace(0.3, FULL, 88)
-    shades = pad_picture([0.0, *forces], 1, 89)[0].astype(int)
-    assert (np.diff(shades.sum(axis=1)) > 0).all()
-    assert tuple(pad_picture([2.0 * FULL], 1, 1)[0, 0]) == TOP
-    assert tuple(pad_picture([-0.3], 1, 1)[0, 0]) == EMPTY
-    assert tuple(pad_picture([0.9 * NOISE], 1, 1)[0, 0]) == EMPTY
-    assert tuple(pad_picture([math.nan], 1, 1)[0, 0]) == DEAD
-    assert DEAD not in {tuple(shade) for shade in pad_picture(np.linspace(0.0, FULL, 200), 1, 200)[0]}
 
 
 @pytest.mark.parametrize("module", [None, type(sys)("rerun")], ids=["missing", "of another project"])

@@ -72,7 +72,7 @@ INPUTS = {
     "docking_node": Input(_ends(), _ends(charging=_POWER), opens=0.35),
     "latched error": Input(_ends(*[_SERVO] * 4), shown={"hardware_error": 32}, opens=0.15),
     "lost torque": Input(
-        {State.APPROACH: _SERVO, State.CONTACT: _SERVO, State.CHARGING: _SERVO},
+        dict.fromkeys(set(PHASES) - {State.LOCATE, State.ALIGN}, _SERVO),
         shown={"torque_enabled": False},
         opens=0.15,
     ),

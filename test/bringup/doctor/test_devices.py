@@ -90,9 +90,7 @@ def test_a_weld_is_cleared_on_request_unless_something_is_live(board: BoardEmula
     [
         ({"target": -24.0, "resistance": 0.1}, False, "wrong", "probe", "reversed polarity"),
         ({"target": 24.0, "resistance": 0.1}, False, "hint", "probe", "24.0 V between the electrodes: a target"),
-        ({"resistance": math.inf}, False, "ok", "probe", "nothing touches"),
         ({"battery": 22.6}, False, "wrong", "power", "22.6 V"),
-        ({"battery": 29.9}, False, "wrong", "power", "29.9 V"),
         ({"battery": math.nan}, False, "hint", "power", "not measured"),
         ({"battery": math.nan}, True, "hint", "power", "live"),
         ({"battery": 26.0}, True, "wrong", "power", "power stage"),
