@@ -77,7 +77,6 @@ def test_lasting_faults_are_listed_replaced_and_cleared(
         ("servo_mising", "servo_missing"),
         ("servo_drop --amount 1.5", "share"),
         ("servo_reboot --for-s 1", "momentary"),
-        ("servo_missing --servo 4", "outside"),
         ("--clear --amount 1", "KIND"),
     ],
 )

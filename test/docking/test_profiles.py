@@ -16,7 +16,7 @@ from deltacharger_docking.observation import DockGoal, DockingOutcome, Reply, Se
 from deltacharger_docking.parameters import TargetProfile
 from deltacharger_sim.virtual.virtual_charger import GOAL, VirtualCharger
 
-from .dockings import assert_safe_at_home, commands, decisions, docked, quick_charger, reach, spoil
+from .dockings import assert_safe_at_home, commands, docked, quick_charger, reach, spoil
 
 SEVEN = TargetProfile(19.0, 29.4, 10.0, 0.5)
 LATE = replace(SEVEN, port="dead", start_time=10.0, gap_time=2.0, full_voltage=28.8, current=4.0)
@@ -122,6 +122,15 @@ def test_a_target_that_does_not_connect_ends_after_its_start_time_and_one_that_c
     assert run.now - closed > 10.0
 
 
+@pytest.mark.parametrize("unfit", [{"battery_voltage": math.nan}, {"battery_voltage": 23.6}, {"stage_voltage": 30.0}])
+def test_an_unfit_battery_or_stage_is_refused_before_anything_touches(unfit: dict[str, float]) -> None:
+    run = charger()
+    spoil(run, **unfit)
+    assert run.dock().code in (Code.POWER_STALE, Code.VOLTAGE_OUT_OF_RANGE)
+    assert run.world.record.contacts == 0
+    assert_safe_at_home(run)
+
+
 def test_a_bar_that_bridges_a_live_port_is_lifted_at_once() -> None:
     run = charger()
     reach(run, State.MEASURE)
@@ -136,13 +145,6 @@ def test_a_bar_that_bridges_a_live_port_is_lifted_at_once() -> None:
     spoil(run)
     assert run.finish(30.0).code is Code.SHORT_CIRCUIT
     assert_safe_at_home(run)
-
-
-def test_a_live_port_shows_by_its_voltage_that_nothing_bridges_it() -> None:
-    run = charger()
-    sent = commands(run)
-    assert run.dock().success
-    assert not decisions(sent, "touched"), "the voltage shows that nothing bridges it"
 
 
 @pytest.mark.parametrize(
