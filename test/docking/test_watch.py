@@ -170,11 +170,12 @@ def test_current_that_nobody_ordered_ends_the_goal_where_the_arm_is(phase: State
     assert not still or math.dist(before, run.world.snapshot().position) < 6 * MILLIMETRE
 
 
-def test_a_voltage_of_electrodes_in_free_air_is_a_weld() -> None:
-    run = quick_charger()
+@pytest.mark.parametrize("leaves", [False, True])
+def test_a_voltage_of_electrodes_in_free_air_is_a_weld(leaves: bool) -> None:
+    run = docked() if leaves else quick_charger()
     spoil(run, target_voltage=25.0)
-    outcome = run.dock()
+    outcome = run.undock() if leaves else run.dock()
     assert outcome.code is Code.CONTACTOR_WELDED
     assert "touch nothing but have 25.0 V" in outcome.message
-    assert run.world.record.contacts == 0
+    assert run.world.record.contacts == leaves
     assert not run.observe().torque_enabled
