@@ -1,1 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
+"""What a person starts: scenes, the command `deltacharger`, the doctor, records of dockings."""

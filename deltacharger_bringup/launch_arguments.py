@@ -13,8 +13,8 @@ from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
 
+from deltacharger_bringup.scenes.scene import Overrides
 from deltacharger_core.parameters import declared, did_you_mean
-from deltacharger_scenes.scene import Overrides
 
 _PACKAGE = "deltacharger"
 _PREFIX = "charger_"

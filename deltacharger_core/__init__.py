@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shared basis of all packages: environment, declared parameters, machine constants, files. No ROS."""
+"""What all rooms stand on: declared parameters, machine constants, files, scripts; `ros/` for every node."""

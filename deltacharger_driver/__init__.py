@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Drivers of the servos and the board, their nodes, and emulators of both."""
+"""Drivers of the servos and the board, and their nodes."""

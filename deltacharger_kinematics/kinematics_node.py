@@ -27,16 +27,16 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from deltacharger_core.frames import CHARGER_BASE, END_EFFECTOR, FrameParameters
+from deltacharger_core.ros import node_support
+from deltacharger_core.ros.clock import steady_timer
+from deltacharger_core.ros.log import Log
+from deltacharger_core.ros.on_demand import PolledTopic
+from deltacharger_core.ros.parameters import declare_all, declare_file, declare_with_servos, reject_unknown
+from deltacharger_core.ros.qos import SERVICE
 from deltacharger_kinematics import Delta
 from deltacharger_kinematics.geometry import DeltaGeometry, load_geometry
 from deltacharger_kinematics.parameters import SERVOS_FOLLOW, GeometryFileParameters, KinematicsNodeParameters
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_ros import node_support
-from deltacharger_ros.clock import steady_timer
-from deltacharger_ros.log import Log
-from deltacharger_ros.on_demand import PolledTopic
-from deltacharger_ros.parameters import declare_all, declare_file, declare_with_servos, reject_unknown
-from deltacharger_ros.qos import SERVICE
 
 _DEFAULT_DEPTH = 10
 POINTS_MAX = 1_000_000

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated world behind the emulated hardware: mechanics, contact, magnets and the charging circuit."""
+"""A charger that is not there: world, emulators of servos and board, simulated camera, virtual time, mock nodes."""

@@ -11,7 +11,7 @@ from typing import Any
 from deltacharger_core import environment
 from deltacharger_core.machine import BAR_GAP, BAR_HEIGHT, BAR_LENGTH, LIVE_VOLTAGE
 from deltacharger_core.yaml_file import read_yaml
-from deltacharger_driver.emulators.power import (
+from deltacharger_sim.emulators.power import (
     BATTERY_RESISTANCE,
     Outputs,
     PortParameters,

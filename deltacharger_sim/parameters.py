@@ -24,7 +24,7 @@ from deltacharger_core.machine import (
     TORQUE_CONSTANT,
 )
 from deltacharger_core.parameters import Bounded, flag, number
-from deltacharger_driver.emulators.power import PortParameters, StageParameters
+from deltacharger_sim.emulators.power import PortParameters, StageParameters
 
 LITHIUM_7S: dict[str, Any] = {"empty_voltage": 19.0, "full_voltage": 29.4, "current": 10.0, "end_current": 0.5}
 """Values of docking's profile of the simulated target."""

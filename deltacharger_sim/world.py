@@ -17,10 +17,10 @@ import numpy as np
 from deltacharger_core.arrays import Array
 from deltacharger_core.machine import NOMINAL_VOLTAGE
 from deltacharger_core.servo_types import MX_64
-from deltacharger_driver.emulators.power import Outputs, StageReading, TargetPort
 from deltacharger_driver.servos.registers import TICK
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_sim.circuit import Circuit, Overlap
+from deltacharger_sim.emulators.power import Outputs, StageReading, TargetPort
 from deltacharger_sim.mechanics import Mechanics
 from deltacharger_sim.motion import MakeMotion, Motion
 from deltacharger_sim.pads import PadSource, Pose

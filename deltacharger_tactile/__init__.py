@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tactile perception: contact model, sensor, data sets, features and the pose estimator."""
+"""Taxels to misalignment: the pose estimator, the nine classifiers of the paper, calibration of the pads."""
 
 from __future__ import annotations
 

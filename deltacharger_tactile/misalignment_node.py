@@ -23,13 +23,13 @@ from rclpy.qos import QoSProfile, qos_profile_sensor_data
 
 from deltacharger_core.frames import END_EFFECTOR, FrameParameters
 from deltacharger_core.machine import COLUMNS, ROWS
-from deltacharger_ros import node_support
-from deltacharger_ros.clock import stamp_age
-from deltacharger_ros.log import Log
-from deltacharger_ros.messages import unknown_misalignment
-from deltacharger_ros.on_demand import OnDemandSubscription
-from deltacharger_ros.parameters import Regularly, declare_all, reject_unknown
-from deltacharger_ros.qos import SERVICE
+from deltacharger_core.ros import node_support
+from deltacharger_core.ros.clock import stamp_age
+from deltacharger_core.ros.log import Log
+from deltacharger_core.ros.messages import unknown_misalignment
+from deltacharger_core.ros.on_demand import OnDemandSubscription
+from deltacharger_core.ros.parameters import Regularly, declare_all, reject_unknown
+from deltacharger_core.ros.qos import SERVICE
 from deltacharger_tactile.errors import FrameError
 from deltacharger_tactile.estimator import Estimate
 from deltacharger_tactile.parameters import FRAMES, FRAMES_MAX, MisalignmentNodeParameters

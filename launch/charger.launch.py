@@ -3,8 +3,8 @@
 
     ros2 launch deltacharger charger.launch.py scene:=bench charger_servo_port:=/dev/ttyUSB1 charger_namespace:=left
 
-The scene lists nodes and parameters; deltacharger_scenes.scene applies the other arguments to it. A wrong argument
-ends the launch before anything starts. deltacharger_bringup.launch_arguments lists the arguments.
+The scene lists nodes and parameters; deltacharger_bringup.scenes.scene applies the other arguments to it. A wrong
+argument ends the launch before anything starts. deltacharger_bringup.launch_arguments lists the arguments.
 
 Settings of an including launch file (namespace, parameters, remaps, environment) apply to every process, also to nodes
 that start only after the simulated hardware has its ports.
@@ -53,9 +53,9 @@ from deltacharger_bringup.launch_arguments import (
     is_launched_itself,
     refuse_unknown_arguments,
 )
+from deltacharger_bringup.scenes.node_table import NODES
+from deltacharger_bringup.scenes.scene import Overrides, Scene, SceneError, load_scene, override
 from deltacharger_core import environment, signals
-from deltacharger_scenes.node_table import NODES
-from deltacharger_scenes.scene import Overrides, Scene, SceneError, load_scene, override
 from launch import LaunchContext, LaunchDescription
 
 PACKAGE = "deltacharger"

@@ -8,8 +8,8 @@ import tempfile
 from pathlib import Path
 
 from deltacharger_driver.board.keeper import BoardKeeper
-from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.ports import ByteDevice, PseudoTerminal
+from deltacharger_sim.emulators.board import BoardEmulator
 
 from .firmware.build import host_programs
 from .plants import BenchPlant

@@ -19,9 +19,9 @@ from typing import Any
 
 import pytest
 
+from deltacharger_bringup.scenes.scene import Scene, load_scene
 from deltacharger_core import environment
 from deltacharger_core.machine import LONGEST_LEASE
-from deltacharger_scenes.scene import Scene, load_scene
 
 from .waiting import DEADLINE, host, wait_until
 from .workers import stay_apart
@@ -163,7 +163,7 @@ def context() -> Iterator[Any]:
 @functools.cache
 def _limits() -> tuple[tuple[Any, str, float], ...]:
     from deltacharger_driver.board import contactor
-    from deltacharger_driver.emulators import power, servo
+    from deltacharger_sim.emulators import power, servo
 
     every = (
         (contactor, "STALE_FRAME"),
@@ -192,7 +192,7 @@ def patience(*holders: ModuleType) -> Iterator[None]:
 @pytest.fixture
 def spin() -> Iterator[Spin]:
     """Serve nodes until the test ends; the last is closed first. Returns the given node."""
-    from deltacharger_ros.executor import Spinner
+    from deltacharger_core.ros.executor import Spinner
 
     running: list[Spinner] = []
 

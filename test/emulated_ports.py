@@ -11,10 +11,10 @@ from collections.abc import Iterator
 
 import pytest
 
-from deltacharger_driver.emulators.board import BoardEmulator
-from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.ports import PseudoTerminal
 from deltacharger_driver.servos.registers import REGISTERS
+from deltacharger_sim.emulators.board import BoardEmulator
+from deltacharger_sim.emulators.servo_bus import ServoBusEmulator
 
 from .plants import BenchArm, BenchPlant
 

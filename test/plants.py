@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from deltacharger_core.machine import COLUMNS, NOMINAL_VOLTAGE, ROWS, SERVO_DAMPING, SERVO_STIFFNESS, TORQUE_CONSTANT
 from deltacharger_driver.board.protocol import BoardFault
-from deltacharger_driver.emulators.power import Outputs, PortParameters, StageReading, TargetPort
+from deltacharger_sim.emulators.power import Outputs, PortParameters, StageReading, TargetPort
 
 _STEP = 1e-3  # s
 _LONGEST = 1.0  # s; a longer pause is not simulated completely

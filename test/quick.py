@@ -6,8 +6,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+from deltacharger_bringup.scenes.scene import Scene, load_scene
 from deltacharger_driver.parameters import REPLY_MARGIN
-from deltacharger_scenes.scene import Scene, load_scene
 
 from .waiting import host
 

@@ -20,14 +20,14 @@ from typing import Any
 from deltacharger.msg import ChargerPower, DockingState, ServoState, TactileFrame
 from rclpy.parameter import Parameter
 
+from deltacharger_bringup.scenes.composition import Composition
+from deltacharger_bringup.scenes.node_table import NODES
+from deltacharger_bringup.scenes.scene import Ports, Scene
+from deltacharger_core.ros import qos
+from deltacharger_core.ros.client import ChargerClient
+from deltacharger_core.ros.on_demand import LatestMessage
+from deltacharger_core.ros.outcomes import DockRequest, Outcome, Pose, Progress
 from deltacharger_docking.ros import services as docking_services
-from deltacharger_ros import qos
-from deltacharger_ros.client import ChargerClient
-from deltacharger_ros.on_demand import LatestMessage
-from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, Progress
-from deltacharger_scenes.composition import Composition
-from deltacharger_scenes.node_table import NODES
-from deltacharger_scenes.scene import Ports, Scene
 
 from .chargers import DEADLINE, Process, new_namespace, patience, wait_until
 from .sim.fault_world import CONTACTOR, RecordedCharger, RecordedWorld

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from deltacharger_bringup.scenes.scene import load_scene, problems
 from deltacharger_core.environment import LARGEST_DOMAIN
-from deltacharger_scenes.scene import load_scene, problems
 
 from .chargers import Process
 from .marks import rest

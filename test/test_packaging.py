@@ -15,7 +15,7 @@ import pytest
 from catkin_pkg.package import parse_package_string
 
 from deltacharger_bringup.cli import main as cli
-from deltacharger_scenes import executables
+from deltacharger_bringup.scenes import executables
 
 ROOT = Path(__file__).resolve().parents[1]
 LICENCE = "SPDX-License-Identifier: Apache-2.0"
@@ -120,10 +120,10 @@ def test_colcon_runs_every_folder_that_has_tests_without_ros() -> None:
 def test_every_executable_exists() -> None:
     text = (ROOT / "setup.cfg").read_text(encoding="utf-8")
     found = re.findall(r"^ {4}(\w+) = ([\w.]+:\w+)$", text, re.MULTILINE)
-    nodes = {name for name, function in found if function == f"deltacharger_scenes.executables:{name}"}
+    nodes = {name for name, function in found if function == f"deltacharger_bringup.scenes.executables:{name}"}
     assert sorted(found) == sorted(
         [("deltacharger", "deltacharger_bringup.cli.__main__:main")]
-        + [(name, f"deltacharger_scenes.executables:{name}") for name in nodes]
+        + [(name, f"deltacharger_bringup.scenes.executables:{name}") for name in nodes]
     )
     modules = executables.modules()
     assert nodes == set(modules)

@@ -12,17 +12,17 @@ import pytest
 from deltacharger.action import ChargeRobot
 from deltacharger.msg import ServoState
 
+from deltacharger_bringup.scenes.scene import parse_scene
 from deltacharger_core.machine import JOINTS
 from deltacharger_core.texts import IN_TOUCH, ON_MAP, ON_ROBOT, far, outside, untouchable
 from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.codes import DockingError
 from deltacharger_docking.machine import DockingMachine
+from deltacharger_docking.mission.parameters import MissionParameters
+from deltacharger_docking.mission.ros import others as mission
 from deltacharger_docking.observation import DockGoal, ElectrodePose, Observation
 from deltacharger_docking.parameters import DockingNodeParameters, DockingParameters
 from deltacharger_docking.ros.inputs import MessageRefused, _three_servos
-from deltacharger_mission.parameters import MissionParameters
-from deltacharger_mission.ros import others as mission
-from deltacharger_scenes.scene import parse_scene
 from deltacharger_vision.mount import Mount
 
 pytestmark = pytest.mark.ros

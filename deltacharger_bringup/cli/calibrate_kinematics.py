@@ -60,7 +60,7 @@ from deltacharger_kinematics.geometry import (
 )
 
 if TYPE_CHECKING:
-    from deltacharger_records.arm_client import ArmClient
+    from deltacharger_bringup.records.arm_client import ArmClient
 
 _WORST = 5  # rows to name
 _UNEXPLAINED = 2.0  # scatter; below it the stated uncertainties are plausible
@@ -243,7 +243,7 @@ def measure(options: argparse.Namespace, geometry: DeltaGeometry) -> Result:
     prepare(options, look_around=True)
     counts = {"measured": 0, "skipped": 0}
     with Interrupts() as interrupts, ros_context() as context:
-        from deltacharger_records.arm_client import ArmClient, ArmError
+        from deltacharger_bringup.records.arm_client import ArmClient, ArmError
 
         try:
             with ArmClient(context, geometry, options.namespace, interrupts.event) as arm:
@@ -284,7 +284,7 @@ def _visit(arm: ArmClient, poses: Sequence[PlannedPose], recording: PoseRecordin
 
 def _record(arm: ArmClient, pose: PlannedPose, recording: PoseRecording, answers: Answers) -> str:
     """Ask until there is an answer. Return "measured" (recorded), "skipped", "quit" or "end" of the input."""
-    from deltacharger_records.arm_client import STILL
+    from deltacharger_bringup.records.arm_client import STILL
 
     asked, doubted = arm.angles(), ""
     while True:

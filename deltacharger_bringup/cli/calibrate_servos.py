@@ -71,7 +71,7 @@ def servos(options: argparse.Namespace) -> Result:
 def _measured(options: argparse.Namespace) -> tuple[ServoTask, Gains, MeasuredArm]:
     """Measure the arm. Its torque is off afterwards, unless docking_node has taken control of it."""
     with Interrupts() as interrupts, ros_context() as context:
-        from deltacharger_records.arm_client import ArmError, MeasuringArm
+        from deltacharger_bringup.records.arm_client import ArmError, MeasuringArm
 
         arm = MeasuringArm(context, geometry_of(options.geometry), options.namespace, interrupts.event)
         try:
@@ -99,7 +99,7 @@ def _task(options: argparse.Namespace, docking: dict[str, Any], servo: dict[str,
     Raises:
         CommandError: servo_node does not report its gains; docking_node's file cannot be read here.
     """
-    from deltacharger_records.node_parameters import docking_settings
+    from deltacharger_bringup.records.node_parameters import docking_settings
 
     if not docking:
         log_line("docking_node does not report geometry and gravity; using the nominal ones")

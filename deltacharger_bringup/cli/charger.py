@@ -33,9 +33,9 @@ from deltacharger_core import environment, real_time, runtime
 if TYPE_CHECKING:
     from rclpy.context import Context
 
-    from deltacharger_ros.client import ChargerClient
-    from deltacharger_scenes.composition import Composition
-    from deltacharger_scenes.scene import Scene
+    from deltacharger_bringup.scenes.composition import Composition
+    from deltacharger_bringup.scenes.scene import Scene
+    from deltacharger_core.ros.client import ChargerClient
 
 LOOK = 3.3  # s until every running charger is found; after a missed announcement the next comes 3 s later
 DISCOVERY = 5.0  # s for hardware, where a second charger beside an unnoticed one is worse than the wait
@@ -90,7 +90,7 @@ def require_domain() -> None:
 def _answers_by_default(namespace: str) -> bool:
     """Whether a charger answers in the default ROS domain of this process."""
     with ros_context() as context:
-        from deltacharger_ros.client import ChargerClient
+        from deltacharger_core.ros.client import ChargerClient
 
         with ChargerClient(namespace, context) as client:
             return client.wait_until_it_answers(LOOK)
@@ -155,8 +155,8 @@ def start(scene: Scene, context: Context, namespace: str, held: bool = False) ->
     Raises:
         CommandError: a part of it cannot start; exit code 2 if its configuration is wrong.
     """
-    from deltacharger_ros.node_support import StartupError
-    from deltacharger_scenes.composition import Composition
+    from deltacharger_bringup.scenes.composition import Composition
+    from deltacharger_core.ros.node_support import StartupError
 
     if scene.touches_hardware:
         log_line(f"open to {environment.openness()}; see docs/security.md")
@@ -250,8 +250,8 @@ def _alone(
     Raises:
         CommandError: another charger answers, a part failed, or a signal arrived before it was ready.
     """
-    from deltacharger_ros.client import ChargerClient
-    from deltacharger_scenes.composition import load_nodes
+    from deltacharger_bringup.scenes.composition import load_nodes
+    from deltacharger_core.ros.client import ChargerClient
 
     with ChargerClient(options.namespace, context) as client:
         asked = time.monotonic()
@@ -277,7 +277,7 @@ def _refuse_others(client: ChargerClient, own: int) -> None:
 
 
 def _print_nodes(composition: Composition) -> None:
-    from deltacharger_scenes.composition import describe
+    from deltacharger_bringup.scenes.composition import describe
 
     log_line(f"{describe(composition)}; ROS domain {environment.domain()}")
 
@@ -293,7 +293,7 @@ def _with_options(scene: Scene, options: argparse.Namespace) -> Scene:
     Raises:
         CommandError: they do not fit the scene; exit code 2.
     """
-    from deltacharger_scenes.scene import Overrides, SceneError, override
+    from deltacharger_bringup.scenes.scene import Overrides, SceneError, override
 
     fields = dataclasses.fields(Overrides)
     try:

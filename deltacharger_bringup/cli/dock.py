@@ -40,14 +40,14 @@ from deltacharger_bringup.cli.output import (
     log_line,
 )
 from deltacharger_core import environment
+from deltacharger_core.ros.outcomes import DockRequest, Outcome, Pose, Progress, place
 from deltacharger_core.texts import figure
-from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, Progress, place
 
 if TYPE_CHECKING:
-    from deltacharger_records.replay.record import Recorder
-    from deltacharger_ros.client import ChargerClient
-    from deltacharger_scenes.composition import Composition
-    from deltacharger_scenes.scene import Scene
+    from deltacharger_bringup.records.replay.record import Recorder
+    from deltacharger_bringup.scenes.composition import Composition
+    from deltacharger_bringup.scenes.scene import Scene
+    from deltacharger_core.ros.client import ChargerClient
 
 _DEFAULT_PICTURE = "dock.png"
 
@@ -128,9 +128,9 @@ def dock(options: argparse.Namespace) -> Result:
     require_docking(scene)
     request = dock_request(options, scene)
     with Interrupts() as interrupts, ros_context() as context, contextlib.ExitStack() as stack:
-        from deltacharger_records.replay.record import Recorder
-        from deltacharger_ros.client import ChargerClient
-        from deltacharger_scenes.scene import RECORDER, recorder_alone, with_recorder
+        from deltacharger_bringup.records.replay.record import Recorder
+        from deltacharger_bringup.scenes.scene import RECORDER, recorder_alone, with_recorder
+        from deltacharger_core.ros.client import ChargerClient
 
         client = stack.enter_context(ChargerClient(options.namespace, context))
         composition: Composition | None = None
@@ -250,7 +250,7 @@ class _Run:
         return f"goal: electrodes at {place(pose.x, pose.y, pose.z, pose.roll)}"
 
     def _dock(self, printer: PhasePrinter) -> Outcome:
-        from deltacharger_ros.client import ClientError
+        from deltacharger_core.ros.client import ClientError
 
         try:
             return self.client.dock(
@@ -269,7 +269,7 @@ class _Run:
         )
 
     def _undock(self) -> dict[str, Any]:
-        from deltacharger_ros.client import ClientError
+        from deltacharger_core.ros.client import ClientError
 
         log_line("undocking, because this command stops the charger that it started")
         try:
@@ -284,7 +284,7 @@ class _Run:
     def _draw(self) -> str | None:
         if self.options.no_picture:
             return None
-        from deltacharger_records.replay.picture import PictureError, draw
+        from deltacharger_bringup.records.replay.picture import PictureError, draw
 
         path = Path(self.options.picture)
         whose = "the running charger" if self.composition is None else f"scene '{self.scene.name}'"
@@ -321,7 +321,7 @@ def undock(options: argparse.Namespace) -> Result:
     """Undock the running charger."""
     require_docking(prepare(options, look_around=True))
     with Interrupts() as interrupts, ros_context() as context:
-        from deltacharger_ros.client import ChargerClient, ClientError
+        from deltacharger_core.ros.client import ChargerClient, ClientError
 
         with ChargerClient(options.namespace, context) as client:
             if not client.wait_until_it_answers(options.discovery, interrupts.event):

@@ -28,7 +28,7 @@ from deltacharger_core import environment
 from deltacharger_core.machine import BAUD_RATE, BEHIND_BOARD, SERVO_IDS
 
 if TYPE_CHECKING:
-    from deltacharger_scenes.scene import Scene
+    from deltacharger_bringup.scenes.scene import Scene
 
 
 def add_doctor(parser: argparse.ArgumentParser) -> None:

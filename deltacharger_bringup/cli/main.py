@@ -156,8 +156,8 @@ def _known(error: Exception) -> CommandError | None:
         others = ", or by rosdep with DELTACHARGER_EXTRAS=all" if name == "scipy" else ""  # what a robot needs
         return CommandError(f"{name} is not installed; install {_EXTRA_OF[name]}{others}")
     if "rclpy" in sys.modules:  # commands without ROS must not import it only to report an error
-        from deltacharger_ros.client import ClientError
-        from deltacharger_ros.node_support import ros_problem
+        from deltacharger_core.ros.client import ClientError
+        from deltacharger_core.ros.node_support import ros_problem
 
         if isinstance(error, ClientError):
             return CommandError(str(error))

@@ -16,7 +16,7 @@ from types import FrameType
 from typing import Any
 
 from deltacharger_core import signals, streams
-from deltacharger_ros.outcomes import json_ready
+from deltacharger_core.ros.outcomes import json_ready
 
 DONE, FAILED, WRONG_INPUT, INTERRUPTED = 0, 1, 2, 130
 

@@ -17,9 +17,9 @@ from deltacharger_bringup.cli.output import (
     log_line,
     wrong_input,
 )
+from deltacharger_bringup.records.recording.folder import ABOUT, END, PARTIAL
 from deltacharger_core import environment, streams
 from deltacharger_core.mcap_file import BAGS, McapFile, RecordingError
-from deltacharger_records.recording.folder import ABOUT, END, PARTIAL
 
 _STATE = "deltacharger/msg/DockingState"
 
@@ -41,8 +41,8 @@ def replay(options: argparse.Namespace) -> Result:
 
 def _file(options: argparse.Namespace, path: Path) -> Result:
     try:
-        from deltacharger_records.replay.record import replay as read
-        from deltacharger_records.replay.words import story, why
+        from deltacharger_bringup.records.replay.record import replay as read
+        from deltacharger_bringup.records.replay.words import story, why
     except ImportError as error:
         raise CommandError(f"ROS 2 or the built interfaces are missing ({error}): install the package") from error
 
@@ -50,7 +50,7 @@ def _file(options: argparse.Namespace, path: Path) -> Result:
     found = read(path, options.namespace)
     lines, closing = story(found), why(found)
     if picture is not None:
-        from deltacharger_records.replay.picture import PictureError, draw
+        from deltacharger_bringup.records.replay.picture import PictureError, draw
 
         scene = found.about.get("scene", "")
         about = (_when(found.began_ns), found.request_id, f"scene {scene}" if scene else "")

@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from typing import Any
 
 from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, Result, wrong_input
+from deltacharger_bringup.scenes.node_table import NODES
+from deltacharger_bringup.scenes.scene import Scene, SceneError, load_scene, packaged_scenes, problems, servos_apart
 from deltacharger_core.parameters import Declaration, declaration
-from deltacharger_scenes.node_table import NODES
-from deltacharger_scenes.scene import Scene, SceneError, load_scene, packaged_scenes, problems, servos_apart
 
 
 def add_scene(parser: argparse.ArgumentParser) -> None:

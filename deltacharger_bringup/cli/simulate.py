@@ -24,7 +24,7 @@ from deltacharger_bringup.cli.output import DONE, CommandError, Interrupts, Resu
 from deltacharger_bringup.cli.scene import load_for_command
 from deltacharger_core import environment, real_time, runtime, signals
 from deltacharger_core.parameters import ParameterError
-from deltacharger_ros.outcomes import json_ready
+from deltacharger_core.ros.outcomes import json_ready
 from deltacharger_sim.charger.fault_channel import SOCKET, ask
 from deltacharger_sim.charger.faults import KINDS, Fault
 from deltacharger_sim.charger.simulated_charger import SimulatedCharger

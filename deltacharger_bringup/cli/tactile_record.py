@@ -20,11 +20,7 @@ from deltacharger_bringup.cli.output import (
     log_line,
     wrong_input,
 )
-from deltacharger_core import environment
-from deltacharger_docking.codes import Code, Rejected, Unreachable
-from deltacharger_docking.observation import DockingOutcome
-from deltacharger_kinematics.geometry import Vector
-from deltacharger_records.session import (
+from deltacharger_bringup.records.session import (
     OFFSETS_MM,
     REPEATS,
     SETS,
@@ -38,10 +34,14 @@ from deltacharger_records.session import (
     TouchSession,
     check_places,
 )
+from deltacharger_core import environment
+from deltacharger_docking.codes import Code, Rejected, Unreachable
+from deltacharger_docking.observation import DockingOutcome
+from deltacharger_kinematics.geometry import Vector
 
 if TYPE_CHECKING:
+    from deltacharger_bringup.records.charger import RecordingCharger
     from deltacharger_docking.machine import DockingMachine
-    from deltacharger_records.charger import RecordingCharger
 
 _TRIES = 3  # at one docking with a retriable failure; other failures end the command
 _PAUSE = 3.0  # s before the next try, so that a silent device may recover
@@ -166,8 +166,8 @@ class _Recording:
         """
         prepare(options, look_around=True)
         with Interrupts() as interrupts, ros_context() as context:
-            from deltacharger_records.arm_client import ArmError
-            from deltacharger_records.charger import RecordingCharger
+            from deltacharger_bringup.records.arm_client import ArmError
+            from deltacharger_bringup.records.charger import RecordingCharger
 
             charger = RecordingCharger(context, options.namespace, interrupts.event)
             try:
@@ -245,7 +245,7 @@ class _Recording:
 
     def _session(self, charger: RecordingCharger, machine: DockingMachine, numbers: Sequence[int]) -> DockingOutcome:
         """Make the dockings of these numbers; all frames are stored when this returns."""
-        from deltacharger_records.charger import SessionKeeper
+        from deltacharger_bringup.records.charger import SessionKeeper
 
         settings, commands = self._settings, self._commands()
         keeper = SessionKeeper(charger, self._journal, self._part, settings, numbers, self._report)

@@ -19,11 +19,11 @@ from sensor_msgs.msg import CameraInfo, Image
 from deltacharger_bringup.cli.camera_views import ViewsFolder, view_places
 from deltacharger_bringup.cli.charger import DISCOVERY
 from deltacharger_bringup.cli.output import CommandError, Interrupts, log_line
+from deltacharger_bringup.records.arm_client import STILL, ArmClient, ArmError
+from deltacharger_core.ros import qos
+from deltacharger_core.ros.client import Guest
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_records.arm_client import STILL, ArmClient, ArmError
-from deltacharger_ros import qos
-from deltacharger_ros.client import Guest
 from deltacharger_vision.cameras.ros_formats import color_array
 from deltacharger_vision.hand_eye.board import Board
 from deltacharger_vision.hand_eye.calibrate import PLACES_APART

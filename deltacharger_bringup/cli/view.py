@@ -46,15 +46,15 @@ from deltacharger_bringup.cli.output import (
     wrong_input,
 )
 from deltacharger_bringup.cli.scene import load_for_command
+from deltacharger_bringup.scenes.scene import Scene
 from deltacharger_core import environment
 from deltacharger_core.files import given_path
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry
-from deltacharger_scenes.scene import Scene
 from deltacharger_vision.mount import Mount
 
 if TYPE_CHECKING:
-    from deltacharger_records.view.feed import ViewFeed
+    from deltacharger_bringup.records.view.feed import ViewFeed
 
 Settings = tuple[DockingParameters, DeltaGeometry]
 _SILENT_AFTER = 5.0  # s; after a missed announcement of a topic the next comes 3 s later
@@ -178,8 +178,8 @@ def _open(
         scene: its camera is drawn, and its arm if there are no `settings`.
         settings: the charger's docking parameters and its arm.
     """
-    from deltacharger_records.view.feed import ViewFeed
-    from deltacharger_records.view.log import ViewLog, blueprint
+    from deltacharger_bringup.records.view.feed import ViewFeed
+    from deltacharger_bringup.records.view.log import ViewLog, blueprint
 
     (parameters, geometry), camera = settings or settings_of(scene), mount_of(scene)
     recording = rr.RecordingStream("deltacharger")
@@ -274,7 +274,7 @@ def settings_of(scene: Scene) -> Settings:
     Raises:
         CommandError: the geometry's file cannot be read, or a value is refused; exit code 2.
     """
-    from deltacharger_records.node_parameters import docking_settings
+    from deltacharger_bringup.records.node_parameters import docking_settings
 
     given = scene.parameters.get("kinematics_node", {})
     with wrong_input(OSError, ValueError, before=f"{scene.file}: parameters: "):
@@ -295,7 +295,7 @@ def mount_of(scene: Scene) -> NDArray[np.float64]:
 def _show_charger(rr: Any, options: argparse.Namespace) -> Result:
     scene = prepare(options, look_around=True)
     with Interrupts() as interrupts, ros_context() as context:
-        from deltacharger_records.view.feed import COLOR_IMAGE, TOPICS, Listener
+        from deltacharger_bringup.records.view.feed import COLOR_IMAGE, TOPICS, Listener
 
         feed, complete = _open(rr, options, scene)
         topics = [topic for topic in TOPICS if options.camera or topic.name != COLOR_IMAGE]
@@ -318,7 +318,7 @@ def _show_charger(rr: Any, options: argparse.Namespace) -> Result:
 
 
 def _report_silence(feed: ViewFeed, namespace: str) -> list[str]:
-    from deltacharger_records.view.feed import ALWAYS_THERE
+    from deltacharger_bringup.records.view.feed import ALWAYS_THERE
 
     silent = [f"/{namespace}/{name}" if namespace else f"/{name}" for name in ALWAYS_THERE if not feed.counts[name]]
     if silent:
@@ -333,10 +333,10 @@ def _report_silence(feed: ViewFeed, namespace: str) -> list[str]:
 def _show_recording(rr: Any, options: argparse.Namespace) -> Result:
     scene = load_for_command(options.scene or DEFAULT_SCENE)
     environment.prepare()
+    from deltacharger_bringup.records.node_parameters import recorded_settings
+    from deltacharger_bringup.records.recording.recorded import Recording
+    from deltacharger_bringup.records.view.feed import TOPICS, play
     from deltacharger_core.mcap_file import RecordingError
-    from deltacharger_records.node_parameters import recorded_settings
-    from deltacharger_records.recording.recorded import Recording
-    from deltacharger_records.view.feed import TOPICS, play
 
     began = time.monotonic()
     with wrong_input(RecordingError):

@@ -239,7 +239,7 @@ def running(chargers: list[str], silent: str) -> Finding:
 
 def _silence(namespace: str, context: Any) -> str:
     """Return why nothing is heard of a charger's actions; '' if they answer, or there are none."""
-    from deltacharger_ros.client import ChargerClient, ClientError
+    from deltacharger_core.ros.client import ChargerClient, ClientError
 
     try:
         ChargerClient(namespace, context).wait_until_it_answers(_MATCH)

@@ -24,6 +24,14 @@ from trajectory_msgs.msg import JointTrajectory
 
 from deltacharger_core.environment import package_version
 from deltacharger_core.frames import TransformParameters
+from deltacharger_core.ros import node_support, qos
+from deltacharger_core.ros.action_server import GoalHandle, Work, WorkServer
+from deltacharger_core.ros.clock import NO_TIME_YET, ClockWatch, before_now
+from deltacharger_core.ros.frames import Frames, TransformError
+from deltacharger_core.ros.log import Log
+from deltacharger_core.ros.messages import duration, seconds, to_result
+from deltacharger_core.ros.outcomes import place
+from deltacharger_core.ros.parameters import Tuning, declare_all, declare_file, declare_with_servos, reject_unknown
 from deltacharger_core.texts import titled
 from deltacharger_docking.codes import Busy, Canceled, Code, DockingError, NoTime, State
 from deltacharger_docking.goals import suggested_base
@@ -36,14 +44,6 @@ from deltacharger_docking.ros.reports import Reports
 from deltacharger_docking.ros.services import Services
 from deltacharger_kinematics.geometry import DeltaGeometry, load_geometry
 from deltacharger_kinematics.parameters import GeometryFileParameters
-from deltacharger_ros import node_support, qos
-from deltacharger_ros.action_server import GoalHandle, Work, WorkServer
-from deltacharger_ros.clock import NO_TIME_YET, ClockWatch, before_now
-from deltacharger_ros.frames import Frames, TransformError
-from deltacharger_ros.log import Log
-from deltacharger_ros.messages import duration, seconds, to_result
-from deltacharger_ros.outcomes import place
-from deltacharger_ros.parameters import Tuning, declare_all, declare_file, declare_with_servos, reject_unknown
 
 _SERVOS_FOLLOW = {"servo_stiffness": "stiffness", "torque_constant": "torque_constant"}  # names in servos_file
 _TICK = 0.02  # s; period without servo_state

@@ -19,13 +19,13 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, JOINTS, PADS, ROWS, in_words
 from deltacharger_core.real_time import AHEAD, COMPARE_CLOCKS, HOST, HostClock
+from deltacharger_core.ros.clock import ANOTHER_CLOCK, ClockWatch, age
+from deltacharger_core.ros.diagnostics import Duplicates
+from deltacharger_core.ros.log import Log
+from deltacharger_core.ros.messages import seconds
+from deltacharger_core.ros.on_demand import LatestMessage, PolledTopic
 from deltacharger_core.texts import outside
 from deltacharger_docking.observation import Observation, Reply
-from deltacharger_ros.clock import ANOTHER_CLOCK, ClockWatch, age
-from deltacharger_ros.diagnostics import Duplicates
-from deltacharger_ros.log import Log
-from deltacharger_ros.messages import seconds
-from deltacharger_ros.on_demand import LatestMessage, PolledTopic
 
 _LOOK = 0.1  # s between checks for second sources; each takes 0.1 ms
 _BACKLOG = 64  # tactile frames, half a second: frames are kept while docking's thread is delayed

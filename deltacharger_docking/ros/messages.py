@@ -17,12 +17,12 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from deltacharger_core.frames import CHARGER_BASE, IDENTITY, lean, rotation
 from deltacharger_core.machine import JOINTS
+from deltacharger_core.ros.frames import Contradiction, TransformError, UnknownFrame
+from deltacharger_core.ros.messages import duration
 from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.codes import PoseUnknown, Rejected
 from deltacharger_docking.observation import BasePose, ElectrodePose
 from deltacharger_kinematics.trajectory_feed import Waypoint
-from deltacharger_ros.frames import Contradiction, TransformError, UnknownFrame
-from deltacharger_ros.messages import duration
 
 _LEAN_MAX = math.radians(30.0)  # of a goal's electrodes: more is a wrong frame
 _GOAL_LEAN_STDDEV = math.radians(1.0)  # standard deviation of a goal's lean, which goals do not give

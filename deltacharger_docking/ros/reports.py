@@ -13,13 +13,13 @@ from deltacharger.msg import DockingDecision, DockingState
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from deltacharger_core.ros.clock import before_now
+from deltacharger_core.ros.diagnostics import ERROR, OK, WARN, Diagnostics
+from deltacharger_core.ros.log import Log
 from deltacharger_core.texts import figure, passage, quantity
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.observation import Decision, DockingStatus, Observation
 from deltacharger_docking.ros.inputs import SOURCES, Heard
-from deltacharger_ros.clock import before_now
-from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
-from deltacharger_ros.log import Log
 
 _DECISIONS = 50  # depth: holds all decisions of a docking while a reader is busy
 _DIAGNOSTICS = 1.0  # s

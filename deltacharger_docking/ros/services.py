@@ -18,14 +18,14 @@ from std_srvs.srv import SetBool, Trigger
 
 from deltacharger_core.frames import CHARGER_BASE, END_EFFECTOR, TransformParameters
 from deltacharger_core.machine import LONGEST_LEASE, ChargeLimits
+from deltacharger_core.ros.action_caller import result_of
+from deltacharger_core.ros.clock import age
+from deltacharger_core.ros.messages import duration, seconds, unknown_misalignment
+from deltacharger_core.ros.qos import SERVICE
 from deltacharger_core.texts import cut
 from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.observation import Reply, Request, Service
 from deltacharger_docking.ros.messages import refined, seen
-from deltacharger_ros.action_caller import result_of
-from deltacharger_ros.clock import age
-from deltacharger_ros.messages import duration, seconds, unknown_misalignment
-from deltacharger_ros.qos import SERVICE
 
 _RENEWAL = 0.05  # s between renewals of the lease, which outlives a stall of four fifths of it
 _DISCOVERY = 1.5  # s for a service to appear: discovery takes that long for nodes that start together

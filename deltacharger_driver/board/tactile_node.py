@@ -37,6 +37,14 @@ from deltacharger_core.environment import domain
 from deltacharger_core.frames import CHARGER_BASE, END_EFFECTOR, FrameParameters
 from deltacharger_core.machine import BAUD_RATE, COLUMNS, ROWS, ZERO_CURRENT, ChargeLimits, port_of
 from deltacharger_core.real_time import RateMeter, late, priority
+from deltacharger_core.ros import node_support
+from deltacharger_core.ros.clock import Stamps, steady_timer
+from deltacharger_core.ros.diagnostics import ERROR, OK, WARN, Diagnostics
+from deltacharger_core.ros.executor import order_age
+from deltacharger_core.ros.log import Log
+from deltacharger_core.ros.messages import seconds, unknown
+from deltacharger_core.ros.parameters import declare_all, reject_unknown
+from deltacharger_core.ros.qos import LATEST, SERVICE
 from deltacharger_core.texts import quantity
 from deltacharger_driver.board.contactor import STALE_FRAME, STALE_POWER
 from deltacharger_driver.board.keeper import BoardKeeper
@@ -44,14 +52,6 @@ from deltacharger_driver.board.protocol import PowerSample, TactileSample
 from deltacharger_driver.errors import DriverError
 from deltacharger_driver.parameters import TactileNodeParameters
 from deltacharger_driver.ports import RawPort
-from deltacharger_ros import node_support
-from deltacharger_ros.clock import Stamps, steady_timer
-from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
-from deltacharger_ros.executor import order_age
-from deltacharger_ros.log import Log
-from deltacharger_ros.messages import seconds, unknown
-from deltacharger_ros.parameters import declare_all, reject_unknown
-from deltacharger_ros.qos import LATEST, SERVICE
 
 _DIAGNOSTICS_PERIOD = 1.0  # s
 BATTERY_PERIOD = 1.0

@@ -50,6 +50,15 @@ from deltacharger_core.environment import domain
 from deltacharger_core.frames import CHARGER_BASE, JointFrameParameters
 from deltacharger_core.machine import BEHIND_BOARD, JOINTS, PROBE_LIFETIME, ZERO_CURRENT
 from deltacharger_core.real_time import AHEAD, RateMeter
+from deltacharger_core.ros import node_support
+from deltacharger_core.ros.clock import Stamps, stamp_age
+from deltacharger_core.ros.diagnostics import Diagnostics
+from deltacharger_core.ros.executor import order_age
+from deltacharger_core.ros.log import Log
+from deltacharger_core.ros.messages import seconds
+from deltacharger_core.ros.on_demand import BoundedTopic
+from deltacharger_core.ros.parameters import declare_all, declare_with_servos, reject_unknown, show_values, was_given
+from deltacharger_core.ros.qos import LATEST, SERVICE
 from deltacharger_core.servo_types import MX_64
 from deltacharger_core.texts import quantity
 from deltacharger_driver.errors import DriverError, NoServosBehindBoard, TrajectoryRefused
@@ -59,15 +68,6 @@ from deltacharger_driver.servos.bus import ServoPhase, ServoReport
 from deltacharger_driver.servos.controller import Contactor, ServoController, bus_entry, servo_entry
 from deltacharger_driver.servos.motion import ContactorState, MotionGuard, Sender
 from deltacharger_driver.servos.registers import GAINS, BusSettings, Drive
-from deltacharger_ros import node_support
-from deltacharger_ros.clock import Stamps, stamp_age
-from deltacharger_ros.diagnostics import Diagnostics
-from deltacharger_ros.executor import order_age
-from deltacharger_ros.log import Log
-from deltacharger_ros.messages import seconds
-from deltacharger_ros.on_demand import BoundedTopic
-from deltacharger_ros.parameters import declare_all, declare_with_servos, reject_unknown, show_values, was_given
-from deltacharger_ros.qos import LATEST, SERVICE
 
 KEPT = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=64, reliability=ReliabilityPolicy.RELIABLE)
 """charger_power and joint_trajectory: read in every cycle, so that a flood from one sender does not hide the others."""

@@ -22,10 +22,10 @@ from deltacharger_core.servo_types import SPEEDS
 from deltacharger_sim.circuit import TARGET_KINDS, usual_port
 
 if TYPE_CHECKING:
-    from deltacharger_driver.emulators.board import BoardEmulator
-    from deltacharger_driver.emulators.servo import ServoFirmware
-    from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
     from deltacharger_driver.ports import PseudoTerminal
+    from deltacharger_sim.emulators.board import BoardEmulator
+    from deltacharger_sim.emulators.servo import ServoFirmware
+    from deltacharger_sim.emulators.servo_bus import ServoBusEmulator
     from deltacharger_sim.world import SharedWorld
 
 

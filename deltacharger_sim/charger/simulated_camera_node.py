@@ -23,10 +23,10 @@ from rclpy.qos import QoSProfile
 
 from deltacharger_core.arrays import Array
 from deltacharger_core.frames import CAMERA, FrameParameters
+from deltacharger_core.ros import node_support
+from deltacharger_core.ros.parameters import declare_all, reject_unknown
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_ros import node_support
-from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_sim.charger.simulation import SimulatedCameraNodeParameters
 from deltacharger_vision.errors import VisionError
 from deltacharger_vision.hand_eye.board import Board

@@ -20,12 +20,12 @@ from typing import Any
 from deltacharger_core import runtime
 from deltacharger_core.environment import domain
 from deltacharger_core.machine import BEHIND_BOARD
-from deltacharger_driver.emulators.board import BoardEmulator
-from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.ports import ByteDevice, PseudoTerminal
 from deltacharger_sim.charger.fault_channel import SOCKET, ControlServer, Registration, answer
 from deltacharger_sim.charger.faults import Faults, Hardware
 from deltacharger_sim.charger.simulation import Simulation
+from deltacharger_sim.emulators.board import BoardEmulator
+from deltacharger_sim.emulators.servo_bus import ServoBusEmulator
 from deltacharger_sim.world import SharedWorld
 
 _log = logging.getLogger(__name__)

@@ -49,11 +49,11 @@ from deltacharger_docking.observation import (
 )
 from deltacharger_docking.parameters import DockingParameters, TargetProfile
 from deltacharger_driver.board.protocol import POWER_RATE, AckError
-from deltacharger_driver.emulators.power import EmulatedPower
 from deltacharger_driver.servos.motion import STOP_TIME, JointWatch
 from deltacharger_driver.servos.registers import BusSettings
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.trajectory_feed import Waypoint
+from deltacharger_sim.emulators.power import EmulatedPower
 from deltacharger_sim.mechanics import Mechanics
 from deltacharger_sim.pads import ContactSource
 from deltacharger_sim.parameters import LITHIUM_7S, WorldParameters

@@ -20,11 +20,11 @@ from typing import Any
 from rclpy.node import Node
 
 from deltacharger_core.frames import CAMERA, FrameParameters
-from deltacharger_ros import node_support
-from deltacharger_ros.clock import steady_timer
-from deltacharger_ros.diagnostics import ERROR, OK, Diagnostics
-from deltacharger_ros.log import Log
-from deltacharger_ros.parameters import declare_all, reject_unknown
+from deltacharger_core.ros import node_support
+from deltacharger_core.ros.clock import steady_timer
+from deltacharger_core.ros.diagnostics import ERROR, OK, Diagnostics
+from deltacharger_core.ros.log import Log
+from deltacharger_core.ros.parameters import declare_all, reject_unknown
 from deltacharger_vision.cameras.oak_pipeline import CameraKeeper, OakCamera, OakImage
 from deltacharger_vision.parameters import OakSettings
 from deltacharger_vision.ros.messages import CameraPublishers

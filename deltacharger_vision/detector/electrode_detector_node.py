@@ -30,15 +30,15 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
 from deltacharger_core.frames import CHARGER_BASE, TransformParameters
+from deltacharger_core.ros import node_support
+from deltacharger_core.ros.clock import age, steady_timer
+from deltacharger_core.ros.diagnostics import ERROR, OK, WARN, Diagnostics
+from deltacharger_core.ros.frames import TfTree, TransformError, installed
+from deltacharger_core.ros.log import Log
+from deltacharger_core.ros.messages import seconds, unknown
+from deltacharger_core.ros.parameters import Regularly, declare_all, reject_unknown
+from deltacharger_core.ros.qos import SERVICE
 from deltacharger_core.texts import quantity
-from deltacharger_ros import node_support
-from deltacharger_ros.clock import age, steady_timer
-from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
-from deltacharger_ros.frames import TfTree, TransformError, installed
-from deltacharger_ros.log import Log
-from deltacharger_ros.messages import seconds, unknown
-from deltacharger_ros.parameters import Regularly, declare_all, reject_unknown
-from deltacharger_ros.qos import SERVICE
 from deltacharger_vision.detector.detector import ElectrodeDetector, annotated
 from deltacharger_vision.errors import MountError, VisionError
 from deltacharger_vision.images import COLOR, DEPTH, INFO, STAMP_TOLERANCE, RgbdImage, StampMatcher

@@ -39,9 +39,9 @@ PARTS = {
 
 def emulate(folder: Path) -> None:
     """Run both emulators until stdin ends."""
-    from deltacharger_driver.emulators.board import BoardEmulator
-    from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
     from deltacharger_driver.ports import PseudoTerminal
+    from deltacharger_sim.emulators.board import BoardEmulator
+    from deltacharger_sim.emulators.servo_bus import ServoBusEmulator
     from deltacharger_sim.parameters import WorldParameters
     from deltacharger_sim.world import SharedWorld, World
 

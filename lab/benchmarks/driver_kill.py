@@ -65,9 +65,9 @@ class TimedBoard:
 
 def emulate_bench(folder: Path) -> None:
     """Emulate a board whose target comes to the electrodes on order, until stdin ends."""
-    from deltacharger_driver.emulators.board import BoardEmulator
     from deltacharger_driver.ports import PseudoTerminal
     from deltacharger_sim.charger.simulation import Simulation
+    from deltacharger_sim.emulators.board import BoardEmulator
     from deltacharger_sim.world import SharedWorld
 
     plant = SharedWorld(Simulation().build_world())
@@ -87,7 +87,7 @@ def emulate_bench(folder: Path) -> None:
 
 def emulate_world(folder: Path) -> None:
     """Emulate the simulated scene's hardware until stdin ends."""
-    from deltacharger_scenes.scene import load_scene
+    from deltacharger_bringup.scenes.scene import load_scene
     from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 
     with SimulatedCharger(load_scene("simulated").simulation, folder) as charger:
@@ -221,7 +221,7 @@ def kill_alone(name: str, number: int, folder: Path) -> dict[str, float]:
 @contextlib.contextmanager
 def charger(folder: Path) -> Iterator[tuple[Role, dict[str, int]]]:
     """Start the simulated scene's hardware and nodes; yields the hardware and the nodes' process ids."""
-    from deltacharger_scenes.scene import load_scene
+    from deltacharger_bringup.scenes.scene import load_scene
 
     ports = {"servo": str(folder / "servo"), "board": str(folder / "board")}
     with hardware("world", folder) as role, processes.nodes_of(load_scene("simulated"), ports) as nodes:

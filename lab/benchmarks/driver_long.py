@@ -49,11 +49,11 @@ ATTEMPTS = 3  # to dock
 
 def emulate(folder: Path) -> None:
     """Emulate the simulated scene's hardware and record it until stdin ends."""
+    from deltacharger_bringup.scenes.scene import load_scene
     from deltacharger_driver.board.protocol import PacketType
-    from deltacharger_driver.emulators.board import BoardEmulator
-    from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
     from deltacharger_driver.ports import PseudoTerminal
-    from deltacharger_scenes.scene import load_scene
+    from deltacharger_sim.emulators.board import BoardEmulator
+    from deltacharger_sim.emulators.servo_bus import ServoBusEmulator
     from deltacharger_sim.world import SharedWorld
 
     processes.take_priority()
@@ -121,7 +121,7 @@ class Listener:
         from diagnostic_msgs.msg import DiagnosticArray
         from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-        from deltacharger_ros.qos import STATE
+        from deltacharger_core.ros.qos import STATE
 
         self.listening = False
         self.docking = DockingState()
@@ -221,7 +221,7 @@ def run(seconds: float) -> dict[str, Any]:
     """Return the record of both sides."""
     import rclpy
 
-    from deltacharger_scenes.scene import load_scene
+    from deltacharger_bringup.scenes.scene import load_scene
 
     with contextlib.ExitStack() as stack:
         folder = stack.enter_context(processes.folder())

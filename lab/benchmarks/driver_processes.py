@@ -174,7 +174,7 @@ def take_priority() -> None:
 
 def start_node(name: str, parameters: Mapping[str, Any]) -> subprocess.Popen[bytes]:
     """Start a node in a separate process."""
-    from deltacharger_scenes.node_table import NODES
+    from deltacharger_bringup.scenes.node_table import NODES
 
     command = [
         sys.executable,
@@ -223,8 +223,8 @@ def charge() -> None:
     Raises:
         CannotMeasure: no charger is ready, or it did not charge.
     """
-    from deltacharger_ros.client import ChargerClient, ClientError
-    from deltacharger_ros.outcomes import DockRequest, Pose
+    from deltacharger_core.ros.client import ChargerClient, ClientError
+    from deltacharger_core.ros.outcomes import DockRequest, Pose
 
     try:
         with ChargerClient() as client:

@@ -41,9 +41,9 @@ MESSAGES = {"servo": "good servo_state", "board": "tactile_frame"}
 
 def emulate(folder: Path) -> None:
     """Run both emulators on one world, plug and unplug on order, until stdin ends."""
-    from deltacharger_driver.emulators.board import BoardEmulator
-    from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
     from deltacharger_driver.ports import PseudoTerminal
+    from deltacharger_sim.emulators.board import BoardEmulator
+    from deltacharger_sim.emulators.servo_bus import ServoBusEmulator
     from deltacharger_sim.parameters import WorldParameters
     from deltacharger_sim.world import SharedWorld, World
 

@@ -26,11 +26,11 @@ from driver_processes import Figure
 
 from deltacharger_core.machine import BAUD_RATE
 from deltacharger_driver.board.keeper import BoardKeeper
-from deltacharger_driver.emulators.board import BoardEmulator
-from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.ports import PseudoTerminal
 from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.registers import BusSettings
+from deltacharger_sim.emulators.board import BoardEmulator
+from deltacharger_sim.emulators.servo_bus import ServoBusEmulator
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.world import SharedWorld, World
 

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deltacharger_records.replay.picture import FAINT, STYLE
+from deltacharger_bringup.records.replay.picture import FAINT, STYLE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes as Axes

@@ -24,7 +24,7 @@ assert not dock_once(scene, 41, 0)["error"]
 make_charger(draw(scene, 41, 0), exact=True)
 print(json.dumps({n: m.__file__ for n, m in sys.modules.items() if n.startswith("deltacharger_")}))
 """
-ONLY_READS = "deltacharger_scenes"
+ONLY_READS = "deltacharger_bringup.scenes"
 """Loaded without effect on the numbers of a row: paths of scenes."""
 
 

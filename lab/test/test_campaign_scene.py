@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from deltacharger_bringup.scenes.scene import SceneError
 from deltacharger_core.parameters import Declaration, ParameterError, declared
 from deltacharger_lab.campaigns.draw import draw
 from deltacharger_lab.campaigns.keys import TAKEN, EstimatorErrors, known_keys
@@ -23,7 +24,6 @@ from deltacharger_lab.campaigns.scene import (
     packaged_campaigns,
     parse_campaign_scene,
 )
-from deltacharger_scenes.scene import SceneError
 from deltacharger_sim.parameters import WorldParameters
 from test.marks import night
 

@@ -21,10 +21,10 @@ from deltacharger_driver.board.protocol import (
     encode_close,
     encode_limit,
 )
-from deltacharger_driver.emulators.power import Outputs, StageParameters
 from deltacharger_driver.packets import Packet, PacketDecoder, encode_packet
 from deltacharger_lab.campaigns.targets import LIMIT, ROWS, TargetCase
 from deltacharger_sim.circuit import Circuit
+from deltacharger_sim.emulators.power import Outputs, StageParameters
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.virtual.virtual_charger import GOAL, VirtualCharger
 from test.firmware.board_host import BoardHost

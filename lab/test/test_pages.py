@@ -21,9 +21,9 @@ ROOT = Path(__file__).parents[2]
 def test_the_table_of_nodes_lists_the_parameters_that_they_declare(context: Any, namespace: str) -> None:
     for library, what in (("cv2", "electrode_detector_node needs deltacharger[vision]"), ("mcap", "record")):
         pytest.importorskip(library, reason=what)
+    from deltacharger_bringup.scenes.node_table import NODES
+    from deltacharger_bringup.scenes.scene import tables
     from deltacharger_lab.pages import parameters, policies, topics
-    from deltacharger_scenes.node_table import NODES
-    from deltacharger_scenes.scene import tables
 
     with parameters.every_node(context, namespace) as nodes:
         written = parameters.document(nodes), topics.document(nodes), *policies.documents(nodes).values()

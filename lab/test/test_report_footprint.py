@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from deltacharger_bringup.scenes.scene import load_scene, packaged_scenes
 from deltacharger_lab.reports.footprint import measure as footprint
 from deltacharger_lab.reports.footprint import report as footprint_report
 from deltacharger_lab.reports.footprint.measure import ONE, SEPARATE
-from deltacharger_scenes.scene import load_scene, packaged_scenes
 
 pytestmark = [
     pytest.mark.ros,

@@ -15,11 +15,11 @@ from unittest import mock
 import pytest
 
 import deltacharger_bringup.cli.calibrate_servos as command
-import deltacharger_records.arm_client as measuring
+import deltacharger_bringup.records.arm_client as measuring
 from deltacharger_bringup.cli.output import FAILED, CommandError
+from deltacharger_bringup.records.arm_client import ArmError
 from deltacharger_core.servo_types import MeasuredServos
 from deltacharger_core.yaml_file import read_declared
-from deltacharger_records.arm_client import ArmError
 
 from ..chargers import Process, wait_until
 
@@ -68,7 +68,7 @@ WORLD = {
 @pytest.mark.night
 @pytest.mark.timeout(400)  # it takes 90 s
 def test_servos_are_measured_over_the_real_bytes(context: Any, start: Callable[..., Process], tmp_path: Path) -> None:
-    from deltacharger_scenes.scene import parse_scene
+    from deltacharger_bringup.scenes.scene import parse_scene
 
     from ..running_charger import RunningCharger
 

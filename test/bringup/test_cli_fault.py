@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
+from deltacharger_bringup.scenes.scene import parse_scene
 from deltacharger_core import runtime
-from deltacharger_scenes.scene import parse_scene
 from deltacharger_sim.charger.faults import KINDS
 from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 

@@ -21,9 +21,9 @@ from sensor_msgs.msg import Image
 
 from deltacharger_bringup.cli.camera_views import ViewsFolder
 from deltacharger_bringup.cli.take_views import CameraClient, _visit
-from deltacharger_ros import qos
-from deltacharger_ros.executor import Spinner
-from deltacharger_scenes.scene import parse_scene
+from deltacharger_bringup.scenes.scene import parse_scene
+from deltacharger_core.ros import qos
+from deltacharger_core.ros.executor import Spinner
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.rendering.board_drawing import bracket
 from deltacharger_vision.rendering.camera import OAK_D

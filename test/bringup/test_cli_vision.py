@@ -138,9 +138,9 @@ def record(path: Path, *images: tuple[str, Array, int]) -> Path:
     from rclpy.serialization import serialize_message
     from sensor_msgs.msg import Image
 
+    from deltacharger_bringup.records.recording.mcap_recording import McapWriter, Topic
     from deltacharger_core.mcap_file import Raw
-    from deltacharger_records.recording.mcap_recording import McapWriter, Topic
-    from deltacharger_ros import qos
+    from deltacharger_core.ros import qos
     from deltacharger_vision.ros.messages import camera_info_message
 
     messages: list[tuple[str, Any, int]] = [("/color/camera_info", camera_info_message(OAK_D, Time()), 0)]

@@ -17,8 +17,8 @@ from deltacharger_bringup.cli import scene
 from deltacharger_bringup.cli.arguments import between, integer
 from deltacharger_bringup.cli.main import COMMANDS
 from deltacharger_bringup.launch_arguments import CHARGER, VIEW, Options, given, in_launch, refuse_unknown_arguments
+from deltacharger_bringup.scenes import executables
 from deltacharger_core import streams
-from deltacharger_scenes import executables
 
 from .command import Capture, answer, refuses, run
 

@@ -15,10 +15,10 @@ from typing import Any
 import pytest
 import yaml
 
+from deltacharger_bringup.scenes.composition import Composition
+from deltacharger_bringup.scenes.scene import Scene
 from deltacharger_docking.codes import Code
-from deltacharger_mission.dialogue import Stage
-from deltacharger_scenes.composition import Composition
-from deltacharger_scenes.scene import Scene
+from deltacharger_docking.mission.dialogue import Stage
 
 from ..chargers import Process
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
+from deltacharger_bringup.scenes.node_table import NODES
 from deltacharger_core import real_time
-from deltacharger_scenes.node_table import NODES
 
 
 def test_without_permission_the_process_goes_on_and_says_what_to_permit(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -31,7 +31,7 @@ def test_the_nodes_that_keep_the_contactor_closed_ask_for_it(monkeypatch: pytest
         asked.update([name] if has_deadlines else [])
         return 0
 
-    monkeypatch.setattr("deltacharger_ros.node_support.run", run)
+    monkeypatch.setattr("deltacharger_core.ros.node_support.run", run)
     for name in ("servo_node", "tactile_node", "docking_node", "misalignment_node", "kinematics_node", "mission_node"):
         assert importlib.import_module(NODES[name].module).main() == 0
     assert asked == {"servo_node", "tactile_node", "docking_node"}

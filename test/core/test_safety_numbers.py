@@ -40,19 +40,19 @@ from deltacharger_docking import (
 )
 from deltacharger_docking.clearance import MisalignmentEstimate, Verdict, clearance_stddev, judge
 from deltacharger_docking.codes import Code, State
+from deltacharger_docking.mission.machine import MissionMachine
+from deltacharger_docking.mission.parameters import MissionParameters
+from deltacharger_docking.mission.places import BaseMount, Place
 from deltacharger_docking.observation import DockGoal, ElectrodePose, Observation, Reply
 from deltacharger_docking.parameters import DockingParameters, TargetProfile
 from deltacharger_driver.board import contactor, protocol
-from deltacharger_driver.emulators.power import EmulatedPower, PowerStage, StageParameters, StageReading
 from deltacharger_driver.errors import DriverError
 from deltacharger_driver.parameters import ServoNodeParameters
 from deltacharger_driver.servos import controller, motion, registers
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_kinematics.swing import Swung, surely_swings
-from deltacharger_mission.machine import MissionMachine
-from deltacharger_mission.parameters import MissionParameters
-from deltacharger_mission.places import BaseMount, Place
+from deltacharger_sim.emulators.power import EmulatedPower, PowerStage, StageParameters, StageReading
 from deltacharger_tactile import estimator, perception
 from deltacharger_vision.detector.judgement import supported
 from deltacharger_vision.errors import VisionError

@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
+from deltacharger_bringup.scenes.scene import load_scene
 from deltacharger_core.yaml_file import YamlError, read_yaml, write_yaml
 from deltacharger_kinematics.geometry import load_geometry
-from deltacharger_scenes.scene import load_scene
 from deltacharger_vision.image_files import load_camera_info
 from deltacharger_vision.terminal import Terminal
 

@@ -16,6 +16,7 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 from deltacharger_core.frames import IDENTITY, TransformParameters, product, rotation
+from deltacharger_core.ros.messages import seconds
 from deltacharger_core.texts import MESSAGE_MAX
 from deltacharger_docking.arm import Planner
 from deltacharger_docking.codes import Code, Rejected, State
@@ -25,7 +26,6 @@ from deltacharger_docking.ros import messages as io
 from deltacharger_docking.ros.reports import PhaseLog
 from deltacharger_docking.ros.services import Services
 from deltacharger_kinematics import DeltaGeometry
-from deltacharger_ros.messages import seconds
 
 from ..chargers import Spin, wait_until
 from ..nodes import options

@@ -29,12 +29,12 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 
+from deltacharger_bringup.scenes.scene import Scene
+from deltacharger_core.ros import qos
+from deltacharger_core.ros.client import ChargerClient
+from deltacharger_core.ros.messages import CODES
+from deltacharger_core.ros.outcomes import Progress
 from deltacharger_core.texts import REQUEST_ID_MAX
-from deltacharger_ros import qos
-from deltacharger_ros.client import ChargerClient
-from deltacharger_ros.messages import CODES
-from deltacharger_ros.outcomes import Progress
-from deltacharger_scenes.scene import Scene
 
 from ..chargers import DEADLINE, Spin, wait_until
 from ..marks import rest

@@ -16,8 +16,8 @@ from deltacharger_driver.board.protocol import (
     decode_power,
     encode_close,
 )
-from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.packets import Packet, PacketDecoder, encode_packet
+from deltacharger_sim.emulators.board import BoardEmulator
 
 from ..plants import BenchPlant
 

@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 
 from deltacharger_core.servo_types import MX_64, ServoType
-from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.ports import PseudoTerminal
 from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.link import ServoLink
 from deltacharger_driver.servos.registers import BusSettings
+from deltacharger_sim.emulators.servo_bus import ServoBusEmulator
 
 from ..emulated_ports import board, board_port, one_cable, servo_port, servos
 from ..plants import BenchArm

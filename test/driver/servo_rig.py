@@ -6,11 +6,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.servos.bus import ServoReport
 from deltacharger_driver.servos.controller import ServoController, ServoRequest
 from deltacharger_driver.servos.motion import JointLimits, ServoWaypoint, check
 from deltacharger_driver.servos.registers import WATCHDOG_TRIPPED, BusSettings
+from deltacharger_sim.emulators.servo_bus import ServoBusEmulator
 
 from ..plants import BenchArm
 from ..waiting import DEADLINE

@@ -21,8 +21,8 @@ from deltacharger_driver.board.protocol import (
     encode_close,
     encode_limit,
 )
-from deltacharger_driver.emulators.power import PortParameters, StageParameters, TargetPort
 from deltacharger_driver.packets import Packet
+from deltacharger_sim.emulators.power import PortParameters, StageParameters, TargetPort
 
 from .board_bench import LIMITS, Bench, acks, tactile
 

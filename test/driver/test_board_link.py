@@ -25,10 +25,10 @@ from deltacharger_driver.board.protocol import (
     TactileSample,
 )
 from deltacharger_driver.board.receiver import BoardReceiver, BoardRequests
-from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.errors import NoAnswer, PortGone
 from deltacharger_driver.packets import Packet, PacketDecoder, encode_packet
 from deltacharger_driver.ports import PseudoTerminal
+from deltacharger_sim.emulators.board import BoardEmulator
 
 from ..chargers import patience
 from ..emulated_ports import Babbler

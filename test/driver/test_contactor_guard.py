@@ -22,8 +22,8 @@ from deltacharger_driver.board.protocol import (
     encode_limit,
 )
 from deltacharger_driver.board.receiver import BoardReceiver, BoardRequests
-from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.errors import NoAnswer
+from deltacharger_sim.emulators.board import BoardEmulator
 
 from .board_bench import STEP, Bench, acks
 

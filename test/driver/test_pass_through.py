@@ -12,12 +12,12 @@ from deltacharger.msg import ServoState
 
 from deltacharger_core import runtime
 from deltacharger_core.environment import domain
+from deltacharger_core.ros.node_support import StartupError
 from deltacharger_driver.board.protocol import LONGEST_SERVO
 from deltacharger_driver.board.tactile_node import TactileNode
 from deltacharger_driver.ports import open_serial
 from deltacharger_driver.servos import servo_node
 from deltacharger_driver.servos.servo_node import ServoNode
-from deltacharger_ros.node_support import StartupError
 
 from ..behind_board import BehindEmulator, BehindFirmware
 from ..emulated_ports import Babbler

@@ -18,12 +18,12 @@ from deltacharger_core.servo_types import SPEEDS
 from deltacharger_driver import ports
 from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.board.protocol import PacketType
-from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.errors import PortBusy, PortDenied, PortError, PortMissing, PortNotSerial
 from deltacharger_driver.packets import Packet, encode_packet
 from deltacharger_driver.port_identity import identify
 from deltacharger_driver.ports import PseudoTerminal, open_serial
 from deltacharger_driver.servos.link import ServoLink
+from deltacharger_sim.emulators.servo_bus import ServoBusEmulator
 
 from ..emulated_ports import Babbler, use_protocol_1, written
 from ..plants import BenchArm

@@ -15,11 +15,11 @@ from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import BatteryState
 
+from deltacharger_core.ros.messages import seconds
 from deltacharger_driver.board.protocol import Power, PowerSample, TactileSample
 from deltacharger_driver.board.tactile_node import SamplePublishers, own_battery, target_battery
 from deltacharger_driver.servos.bus import ServoReport
 from deltacharger_driver.servos.servo_node import StatePublishers
-from deltacharger_ros.messages import seconds
 
 pytestmark = [pytest.mark.ros, pytest.mark.version]
 

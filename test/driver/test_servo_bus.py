@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 
 from deltacharger_core.servo_types import MX_64
-from deltacharger_driver.emulators.servo import OK, ControlTable
-from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.errors import DriverError, HandshakeError, NoAnswer, RangeError, ServoFault
 from deltacharger_driver.servos.bus import ServoBus, motion_registers
 from deltacharger_driver.servos.registers import GAINS, REGISTERS, TICK, WATCHDOG, BusSettings
+from deltacharger_sim.emulators.servo import OK, ControlTable
+from deltacharger_sim.emulators.servo_bus import ServoBusEmulator
 
 from ..plants import BenchArm
 from .servo_rig import BOUND, OVERLOAD, START

@@ -24,12 +24,12 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from deltacharger_core.machine import JOINTS
-from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
+from deltacharger_core.ros.node_support import StartupError
 from deltacharger_driver.ports import PseudoTerminal
 from deltacharger_driver.servos.motion import ContactorState
 from deltacharger_driver.servos.registers import TICK
 from deltacharger_driver.servos.servo_node import ServoNode
-from deltacharger_ros.node_support import StartupError
+from deltacharger_sim.emulators.servo_bus import ServoBusEmulator
 
 from ..chargers import Spin, new_namespace, patience
 from ..nodes import call, options

@@ -17,13 +17,13 @@ from unittest.mock import Mock
 import pytest
 
 from deltacharger_core.servo_types import MX_64
-from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.errors import CorruptReply, NoAnswer, PortGone, RangeError
 from deltacharger_driver.packets import sync_write_packet
 from deltacharger_driver.ports import PseudoTerminal
 from deltacharger_driver.servos.bus import UNKNOWN_AFTER, ServoBus, ServoReport
 from deltacharger_driver.servos.link import ServoLink
 from deltacharger_driver.servos.registers import REGISTERS, decode_block, has_restarted
+from deltacharger_sim.emulators.servo_bus import ServoBusEmulator
 
 POSITION = REGISTERS["present_position"].address
 SPARE = 650  # indirect data that nothing maps: plain memory

@@ -16,13 +16,13 @@ import pytest
 
 from deltacharger_core import machine
 from deltacharger_core.servo_types import MX_64, TYPES, XM430_W350, ServoType
-from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.errors import HandshakeError, RangeError
 from deltacharger_driver.ports import PseudoTerminal
 from deltacharger_driver.servos import registers
 from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.controller import ThermalModel, reserve
 from deltacharger_driver.servos.registers import REGISTERS, BusSettings, current_to_counts, registers_of
+from deltacharger_sim.emulators.servo_bus import ServoBusEmulator
 
 from ..plants import BenchArm
 from ..quick import PATIENT_MARGIN

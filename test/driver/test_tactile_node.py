@@ -22,12 +22,12 @@ from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import BatteryState
 from std_srvs.srv import Trigger
 
+from deltacharger_core.ros.executor import Spinner
 from deltacharger_driver.board import tactile_node
 from deltacharger_driver.board.protocol import BoardFault
 from deltacharger_driver.board.tactile_node import TactileNode
-from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.ports import PseudoTerminal
-from deltacharger_ros.executor import Spinner
+from deltacharger_sim.emulators.board import BoardEmulator
 
 from ..chargers import new_namespace, patience
 from ..nodes import call, options

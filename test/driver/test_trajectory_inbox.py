@@ -18,11 +18,11 @@ from rclpy.time import Time
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from deltacharger_core.machine import JOINTS
+from deltacharger_core.ros.on_demand import Received
 from deltacharger_driver.servos import servo_node
 from deltacharger_driver.servos.motion import ContactorState, JointLimits, MotionGuard
 from deltacharger_driver.servos.registers import TICK
 from deltacharger_driver.servos.servo_node import ContactorClient, TrajectoryInbox
-from deltacharger_ros.on_demand import Received
 
 from .servo_rig import START, Rig
 

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from deltacharger_core.machine import COLUMNS, ROWS
-from deltacharger_driver.emulators.power import StageReading
+from deltacharger_sim.emulators.power import StageReading
 
 from ..borrowed import anew, borrowed_tests
 

@@ -20,14 +20,14 @@ from rclpy.node import Node
 from std_msgs.msg import Header
 
 from deltacharger_core.machine import GRAVITY, TORQUE_CONSTANT
+from deltacharger_core.ros import qos
+from deltacharger_core.ros.executor import Spinner
+from deltacharger_core.ros.node_support import StartupError
 from deltacharger_docking.ros.docking_node import DockingNode
 from deltacharger_kinematics import Delta, Status, kinematics_node
 from deltacharger_kinematics.geometry import load_geometry
 from deltacharger_kinematics.kinematics_node import KinematicsNode
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_ros import qos
-from deltacharger_ros.executor import Spinner
-from deltacharger_ros.node_support import StartupError
 
 from ..chargers import new_namespace, wait_until
 from ..nodes import call, options

@@ -14,8 +14,7 @@ from typing import Any
 
 from deltacharger_core.frames import Pose, composed, inverted, rotation
 from deltacharger_docking.codes import Code, State
-from deltacharger_docking.observation import BasePose, ElectrodePose
-from deltacharger_mission.dialogue import (
+from deltacharger_docking.mission.dialogue import (
     DockingReport,
     End,
     MissionGoal,
@@ -26,9 +25,10 @@ from deltacharger_mission.dialogue import (
     TaskReply,
     TaskRequest,
 )
-from deltacharger_mission.machine import MissionMachine
-from deltacharger_mission.parameters import MissionParameters
-from deltacharger_mission.places import BaseMount, Place
+from deltacharger_docking.mission.machine import MissionMachine
+from deltacharger_docking.mission.parameters import MissionParameters
+from deltacharger_docking.mission.places import BaseMount, Place
+from deltacharger_docking.observation import BasePose, ElectrodePose
 
 TICK = 0.1  # s
 FORWARD = (0.0, 0.0, 0.0, 0.5, 0.5, 0.5, 0.5)

@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from deltacharger_core.frames import Pose, composed
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_docking.codes import Busy, Canceled, Code, Rejected, State
+from deltacharger_docking.mission import machine
+from deltacharger_docking.mission.dialogue import DockingReport, End, MissionGoal, Stage, Task, TaskReply, TaskRequest
+from deltacharger_docking.mission.machine import GAIN_TURN_MIN
+from deltacharger_docking.mission.parameters import MissionParameters
+from deltacharger_docking.mission.places import SEARCH_STEPS, SEARCH_TURNS, BaseMount, Place
 from deltacharger_docking.observation import BasePose, ElectrodePose
-from deltacharger_mission import machine
-from deltacharger_mission.dialogue import DockingReport, End, MissionGoal, Stage, Task, TaskReply, TaskRequest
-from deltacharger_mission.machine import GAIN_TURN_MIN
-from deltacharger_mission.parameters import MissionParameters
-from deltacharger_mission.places import SEARCH_STEPS, SEARCH_TURNS, BaseMount, Place
 
 from .missions import (
     FORWARD,

@@ -16,13 +16,13 @@ from geometry_msgs.msg import PoseStamped
 
 from deltacharger_core.texts import MESSAGE_MAX
 from deltacharger_docking.codes import Code, Rejected, State
+from deltacharger_docking.mission.dialogue import End, MissionGoal, MissionObservation
+from deltacharger_docking.mission.machine import MissionMachine
+from deltacharger_docking.mission.parameters import MissionParameters
+from deltacharger_docking.mission.places import BaseMount
+from deltacharger_docking.mission.ros import others as io
 from deltacharger_docking.observation import BasePose
 from deltacharger_docking.ros.messages import pose_stamped
-from deltacharger_mission.dialogue import End, MissionGoal, MissionObservation
-from deltacharger_mission.machine import MissionMachine
-from deltacharger_mission.parameters import MissionParameters
-from deltacharger_mission.places import BaseMount
-from deltacharger_mission.ros import others as io
 
 pytestmark = pytest.mark.ros
 

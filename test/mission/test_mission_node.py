@@ -18,13 +18,13 @@ from rclpy.action.client import ActionClient
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from deltacharger_mission.dialogue import Stage
-from deltacharger_mission.places import Place
-from deltacharger_mission.ros.others import fill_pose
-from deltacharger_ros.executor import Spinner
-from deltacharger_ros.messages import CODES, duration, seconds
-from deltacharger_scenes.composition import Composition
-from deltacharger_scenes.scene import Scene, load_scene
+from deltacharger_bringup.scenes.composition import Composition
+from deltacharger_bringup.scenes.scene import Scene, load_scene
+from deltacharger_core.ros.executor import Spinner
+from deltacharger_core.ros.messages import CODES, duration, seconds
+from deltacharger_docking.mission.dialogue import Stage
+from deltacharger_docking.mission.places import Place
+from deltacharger_docking.mission.ros.others import fill_pose
 
 from ..chargers import Spin, new_namespace, wait_until
 from ..nodes import answer, options

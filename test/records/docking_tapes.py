@@ -15,12 +15,12 @@ from deltacharger.action import Dock
 from deltacharger.msg import ChargerPower, DockingDecision, DockingState, ServoState, TactileFrame
 from rclpy.serialization import serialize_message
 
+from deltacharger_bringup.records.recording.folder import ABOUT, PARAMETERS, RESULT
+from deltacharger_bringup.records.recording.mcap_recording import TOPICS, McapWriter, Topic
 from deltacharger_core.mcap_file import Raw
+from deltacharger_core.ros.messages import unknown_misalignment
+from deltacharger_core.ros.outcomes import Outcome
 from deltacharger_docking.codes import Code, State
-from deltacharger_records.recording.folder import ABOUT, PARAMETERS, RESULT
-from deltacharger_records.recording.mcap_recording import TOPICS, McapWriter, Topic
-from deltacharger_ros.messages import unknown_misalignment
-from deltacharger_ros.outcomes import Outcome
 
 BEGAN = 1_795_000_000 * 10**9  # ns since 1970
 NAMES = {topic.name: f"/a/{topic.name}" for topic in TOPICS}

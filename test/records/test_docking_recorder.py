@@ -21,14 +21,14 @@ pytest.importorskip("mcap", reason="records with deltacharger[record]")
 
 from deltacharger.msg import DockingState
 
+from deltacharger_bringup.records.recording.docking_recorder import BEFORE, LOST_AFTER, DockingRecorder, Gate
+from deltacharger_bringup.records.recording.folder import PARTIAL, RecordFolder
+from deltacharger_bringup.records.recording.mcap_recording import McapWriter
+from deltacharger_bringup.records.replay.record import replay
+from deltacharger_bringup.records.replay.words import why
 from deltacharger_core.mcap_file import Raw
 from deltacharger_core.texts import REQUEST_ID_MAX
 from deltacharger_docking.codes import Code, State
-from deltacharger_records.recording.docking_recorder import BEFORE, LOST_AFTER, DockingRecorder, Gate
-from deltacharger_records.recording.folder import PARTIAL, RecordFolder
-from deltacharger_records.recording.mcap_recording import McapWriter
-from deltacharger_records.replay.record import replay
-from deltacharger_records.replay.words import why
 
 TILTED = "the target is rolled by 12.6°"
 
@@ -112,7 +112,7 @@ def full(*_: Any) -> None:
 
 def test_a_full_disk_ends_recording_and_keeps_written_data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
-        patch.setattr("deltacharger_records.recording.docking_recorder.flush", full)
+        patch.setattr("deltacharger_bringup.records.recording.docking_recorder.flush", full)
         recording = recorder(tmp_path)
         play(recording, docking())
         assert ("No space left" in recording.problem, list(tmp_path.iterdir())) == (True, []), "full at the start"

@@ -18,14 +18,14 @@ from deltacharger.msg import DockingDecision
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 
-from deltacharger_records.recording.docking_recorder_node import DockingRecorderNode
-from deltacharger_records.recording.folder import PARTIAL
-from deltacharger_records.replay.record import Replay, replay
-from deltacharger_records.replay.words import why
-from deltacharger_ros.log import Log
-from deltacharger_ros.messages import PHASES
-from deltacharger_ros.outcomes import DockRequest, Pose, Progress
-from deltacharger_scenes.scene import RECORDER, Scene, with_recorder
+from deltacharger_bringup.records.recording.docking_recorder_node import DockingRecorderNode
+from deltacharger_bringup.records.recording.folder import PARTIAL
+from deltacharger_bringup.records.replay.record import Replay, replay
+from deltacharger_bringup.records.replay.words import why
+from deltacharger_bringup.scenes.scene import RECORDER, Scene, with_recorder
+from deltacharger_core.ros.log import Log
+from deltacharger_core.ros.messages import PHASES
+from deltacharger_core.ros.outcomes import DockRequest, Pose, Progress
 
 from ..running_charger import RunningCharger
 

@@ -16,8 +16,8 @@ from mcap.reader import make_reader
 from rclpy.qos import DurabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
 
+from deltacharger_bringup.records.recording.mcap_recording import TOPICS, McapWriter
 from deltacharger_core.mcap_file import McapFile, Raw
-from deltacharger_records.recording.mcap_recording import TOPICS, McapWriter
 
 pytestmark = pytest.mark.ros
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from deltacharger_bringup.records.replay.picture import PictureError, draw
+from deltacharger_bringup.records.replay.run import Phase, Run, Series, Touch
+from deltacharger_core.ros.outcomes import Outcome
 from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.codes import Code
-from deltacharger_records.replay.picture import PictureError, draw
-from deltacharger_records.replay.run import Phase, Run, Series, Touch
-from deltacharger_ros.outcomes import Outcome
 
 
 def outcome(code: Code = Code.NONE, message: str = "") -> Outcome:

@@ -13,8 +13,8 @@ pytest.importorskip("mcap", reason="records with deltacharger[record]")
 
 from mcap.writer import Writer
 
-from deltacharger_records.recording.folder import ABOUT, RecordFolder, is_ours, safe_id
-from deltacharger_records.recording.mcap_recording import McapWriter
+from deltacharger_bringup.records.recording.folder import ABOUT, RecordFolder, is_ours, safe_id
+from deltacharger_bringup.records.recording.mcap_recording import McapWriter
 
 BEGAN = 1_795_000_000 * 10**9
 NAME = "20261118T110640Z-id_0-OK.mcap"

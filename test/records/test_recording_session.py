@@ -10,11 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deltacharger_core.machine import DOCKING_JITTER
-from deltacharger_docking.codes import Busy, Code, Rejected, State, Unreachable
-from deltacharger_docking.observation import Request, Service
-from deltacharger_docking.parameters import DockingParameters
-from deltacharger_records.session import (
+from deltacharger_bringup.records.session import (
     OFFSETS_MM,
     TILTED,
     CommandedPose,
@@ -27,6 +23,10 @@ from deltacharger_records.session import (
     TouchSession,
     check_places,
 )
+from deltacharger_core.machine import DOCKING_JITTER
+from deltacharger_docking.codes import Busy, Code, Rejected, State, Unreachable
+from deltacharger_docking.observation import Request, Service
+from deltacharger_docking.parameters import DockingParameters
 from deltacharger_sim.parameters import TargetParameters, WorldParameters
 from deltacharger_sim.virtual.virtual_charger import VirtualCharger
 from deltacharger_sim.world import Snapshot

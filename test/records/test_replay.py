@@ -22,16 +22,16 @@ pytest.importorskip("mcap", reason="replays with deltacharger[record]")
 from deltacharger.msg import DockingState, ServoState
 from rclpy.serialization import serialize_message
 
+from deltacharger_bringup.records.node_parameters import with_geometry
+from deltacharger_bringup.records.recording import mcap_recording
+from deltacharger_bringup.records.recording.mcap_recording import McapWriter
+from deltacharger_bringup.records.replay.record import replay
+from deltacharger_bringup.records.replay.words import story, why
 from deltacharger_core.machine import JOINTS
 from deltacharger_core.mcap_file import Raw
 from deltacharger_docking.codes import Code, State
 from deltacharger_kinematics.geometry import DeltaGeometry, LimbAdjustment, save_geometry
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_records.node_parameters import with_geometry
-from deltacharger_records.recording import mcap_recording
-from deltacharger_records.recording.mcap_recording import McapWriter
-from deltacharger_records.replay.record import replay
-from deltacharger_records.replay.words import story, why
 
 from ..bringup.command import Capture, answer, refuses
 

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from deltacharger_bringup.cli.output import FAILED, INTERRUPTED, WRONG_INPUT
-from deltacharger_scenes.scene import parse_scene
+from deltacharger_bringup.scenes.scene import parse_scene
 from deltacharger_tactile.dataset import Dataset
 
 from ..chargers import DEADLINE, Process, wait_until
@@ -92,8 +92,8 @@ def test_a_signal_ends_it_without_torque_and_with_the_data_set_written(
 def test_an_arm_powered_by_another_program_is_left_alone_and_places_out_of_reach_are_refused(
     record: Recorder, charger: Recorded, context: Any
 ) -> None:
+    from deltacharger_bringup.records.arm_client import ArmClient
     from deltacharger_kinematics import DeltaGeometry
-    from deltacharger_records.arm_client import ArmClient
 
     contacts = charger.world.record.contacts
     assert "reach" in answer(record("--set", "position", "--x-mm", "80"), WRONG_INPUT)["error"]

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from deltacharger_bringup.records.view.shapes import ROD_SPACING, SIDES, moving
 from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.geometry import LimbAdjustment, save_geometry
 from deltacharger_kinematics.passive_joints import passive_joints
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_records.view.shapes import ROD_SPACING, SIDES, moving
 from deltacharger_vision.mount import Mount, look_at
 
 from ..chargers import Spin, wait_until
@@ -200,8 +200,8 @@ def test_the_node_publishes_them_and_nothing_while_a_servo_is_silent(context: An
     from rclpy.node import Node
     from sensor_msgs.msg import JointState
 
-    from deltacharger_records.view.passive_joints_node import PassiveJointsNode
-    from deltacharger_ros import qos
+    from deltacharger_bringup.records.view.passive_joints_node import PassiveJointsNode
+    from deltacharger_core.ros import qos
 
     came: list[JointState] = []
     spin(PassiveJointsNode(**options(context, namespace)))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deltacharger_records.view.shapes import FULL, pad_picture
+from deltacharger_bringup.records.view.shapes import FULL, pad_picture
 
 from ..bringup.command import Capture, refuses
 

@@ -12,13 +12,13 @@ from deltacharger.action import Dock, Undock
 from rclpy.action.server import ActionServer, CancelResponse, GoalResponse
 from rclpy.node import Node
 
+from deltacharger_core.ros import client as client_module
+from deltacharger_core.ros.action_caller import LOST, ActionCaller
+from deltacharger_core.ros.client import ChargerClient, ClientError
+from deltacharger_core.ros.executor import Spinner
+from deltacharger_core.ros.messages import CODES
+from deltacharger_core.ros.outcomes import DockRequest, Pose
 from deltacharger_docking.codes import Code
-from deltacharger_ros import client as client_module
-from deltacharger_ros.action_caller import LOST, ActionCaller
-from deltacharger_ros.client import ChargerClient, ClientError
-from deltacharger_ros.executor import Spinner
-from deltacharger_ros.messages import CODES
-from deltacharger_ros.outcomes import DockRequest, Pose
 
 from ..chargers import DEADLINE, wait_until
 from ..nodes import options

@@ -11,8 +11,8 @@ from rclpy.clock import Clock, ClockType, ROSClock
 from rclpy.time import Time
 
 from deltacharger_core.real_time import HostClock
-from deltacharger_ros.clock import Stamps
-from deltacharger_ros.messages import seconds
+from deltacharger_core.ros.clock import Stamps
+from deltacharger_core.ros.messages import seconds
 
 pytestmark = pytest.mark.ros
 

@@ -18,7 +18,7 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallb
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from deltacharger_ros.executor import Spinner, order_age, serving
+from deltacharger_core.ros.executor import Spinner, order_age, serving
 
 from ..chargers import DEADLINE, wait_until
 from ..nodes import answer, call, options

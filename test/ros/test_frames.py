@@ -16,10 +16,10 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 
 from deltacharger_core.frames import IDENTITY, Pose, TransformParameters, apart, composed
+from deltacharger_core.ros import frames as frames_module
+from deltacharger_core.ros.frames import Contradiction, Frames, TransformError, UnknownFrame
 from deltacharger_docking.parameters import DockingNodeParameters
 from deltacharger_docking.ros.messages import electrodes
-from deltacharger_ros import frames as frames_module
-from deltacharger_ros.frames import Contradiction, Frames, TransformError, UnknownFrame
 
 from ..chargers import DEADLINE, Spin, wait_until
 from ..core.test_rotation import drawn

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from rclpy.node import Node
 
-from deltacharger_ros.log import Log
+from deltacharger_core.ros.log import Log
 
 from ..chargers import DEADLINE
 from ..nodes import options
@@ -23,7 +23,7 @@ from deltacharger_core import environment
 environment.prepare()
 import rclpy
 from rclpy.node import Node
-from deltacharger_ros.log import Log
+from deltacharger_core.ros.log import Log
 rclpy.init(args=[])
 node = Node("subject")
 log = Log(node)

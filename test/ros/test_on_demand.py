@@ -13,8 +13,8 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Int64
 
-from deltacharger_ros.messages import unknown
-from deltacharger_ros.on_demand import LatestMessage, OnDemandSubscription, PolledTopic
+from deltacharger_core.ros.messages import unknown
+from deltacharger_core.ros.on_demand import LatestMessage, OnDemandSubscription, PolledTopic
 
 from ..chargers import DEADLINE, Spin, wait_until
 from ..nodes import numbers, options

@@ -17,13 +17,13 @@ from rclpy.parameter import Parameter
 
 from deltacharger_core.machine import POSITION_P_GAIN, SERVO_STIFFNESS, TORQUE_CONSTANT
 from deltacharger_core.parameters import Bounded, ParameterError, choice, flag, number, numbers, tunable, words
+from deltacharger_core.ros.node_support import StartupError
+from deltacharger_core.ros.parameters import Tuning, declare_all, reject_unknown
 from deltacharger_docking.ros.docking_node import DockingNode
-from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.ports import PseudoTerminal
 from deltacharger_driver.servos.servo_node import ServoNode
 from deltacharger_kinematics.kinematics_node import KinematicsNode
-from deltacharger_ros.node_support import StartupError
-from deltacharger_ros.parameters import Tuning, declare_all, reject_unknown
+from deltacharger_sim.emulators.servo_bus import ServoBusEmulator
 
 from ..nodes import options
 from ..plants import BenchArm

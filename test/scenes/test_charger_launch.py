@@ -18,9 +18,9 @@ from typing import Any
 
 import pytest
 
-from deltacharger_ros.client import ChargerClient
-from deltacharger_ros.outcomes import DockRequest
-from deltacharger_scenes.scene import Scene, parse_scene
+from deltacharger_bringup.scenes.scene import Scene, parse_scene
+from deltacharger_core.ros.client import ChargerClient
+from deltacharger_core.ros.outcomes import DockRequest
 
 from ..chargers import DEADLINE, Process, wait_until
 from ..quick import QUICK

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from deltacharger_ros.node_support import StartupError
-from deltacharger_scenes.composition import Composition
-from deltacharger_scenes.scene import parse_scene
+from deltacharger_bringup.scenes.composition import Composition
+from deltacharger_bringup.scenes.scene import parse_scene
+from deltacharger_core.ros.node_support import StartupError
 
 pytestmark = pytest.mark.ros
 

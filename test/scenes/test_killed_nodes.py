@@ -14,10 +14,10 @@ from typing import Any
 import pytest
 from deltacharger.msg import DockingState
 
-from deltacharger_ros.client import ClientError
-from deltacharger_ros.messages import CODES
-from deltacharger_ros.outcomes import DockRequest
-from deltacharger_scenes.scene import parse_scene
+from deltacharger_bringup.scenes.scene import parse_scene
+from deltacharger_core.ros.client import ClientError
+from deltacharger_core.ros.messages import CODES
+from deltacharger_core.ros.outcomes import DockRequest
 
 from ..chargers import wait_until
 from ..quick import QUICK

@@ -9,7 +9,7 @@ from deltacharger_core.machine import (
     ChargeLimits,
 )
 from deltacharger_driver.board.contactor import LeaseRefused
-from deltacharger_scenes.mocks.mock_tactile_node import CHARGE_CURRENT, MockPower
+from deltacharger_sim.mocks.mock_tactile_node import CHARGE_CURRENT, MockPower
 
 pytestmark = pytest.mark.ros
 

@@ -12,10 +12,9 @@ import pytest
 
 from deltacharger_bringup.cli.main import COMMANDS, build_parser, main
 from deltacharger_bringup.cli.output import WRONG_INPUT
-from deltacharger_kinematics.geometry import load_geometry
-from deltacharger_scenes.composition import Composition
-from deltacharger_scenes.node_table import NODES
-from deltacharger_scenes.scene import (
+from deltacharger_bringup.scenes.composition import Composition
+from deltacharger_bringup.scenes.node_table import NODES
+from deltacharger_bringup.scenes.scene import (
     RECORDER,
     SIMULATED_TARGET,
     Overrides,
@@ -26,6 +25,7 @@ from deltacharger_scenes.scene import (
     parse_scene,
     problems,
 )
+from deltacharger_kinematics.geometry import load_geometry
 
 
 def write(folder: Path, text: str) -> Path:

@@ -12,8 +12,8 @@ import pytest
 from deltacharger.msg import ChargerPower
 from rclpy.qos import QoSProfile
 
-from deltacharger_ros.outcomes import DockRequest, Progress
-from deltacharger_scenes.scene import SceneError, parse_scene
+from deltacharger_bringup.scenes.scene import SceneError, parse_scene
+from deltacharger_core.ros.outcomes import DockRequest, Progress
 
 from ..quick import QUICK, quick_simulation
 from ..running_charger import GOAL, RunningCharger

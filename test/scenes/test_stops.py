@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from deltacharger_scenes.scene import load_scene, parse_scene
+from deltacharger_bringup.scenes.scene import load_scene, parse_scene
 
 from ..chargers import Process, wait_until
 from ..marks import rest
@@ -81,14 +81,14 @@ def test_nodes_as_processes_end_with_0_after_any_number_of_signals(context: Any)
     assert not [line for line in every if ALARM.search(line)], every
 
 
-NODE = "from deltacharger_scenes.executables import docking_node; sys.exit(docking_node())"
+NODE = "from deltacharger_bringup.scenes.executables import docking_node; sys.exit(docking_node())"
 COMMAND = "import runpy; runpy.run_module('deltacharger_bringup.cli', run_name='__main__')"
 
 
 @pytest.mark.parametrize(
     ("words", "imported", "number", "code", "told"),
     [
-        ((), "deltacharger_scenes.node_table", INT, 0, []),
+        ((), "deltacharger_bringup.scenes.node_table", INT, 0, []),
         (("up",), "deltacharger_bringup.cli.main", INT, 130, ["interrupted"]),
         rest(("up",), "deltacharger_bringup.cli.charger", HUP, 0, []),
         rest(("dock",), "deltacharger_bringup.cli.dock", INT, 130, ["interrupted"]),

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from deltacharger_core.machine import TORQUE_CONSTANT, ChargeLimits
-from deltacharger_driver.emulators.power import EmulatedPower
 from deltacharger_kinematics.geometry import LIMB_DIRECTIONS, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_sim.emulators.power import EmulatedPower
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.world import World
 from test.plain import plain_servo

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from deltacharger_scenes.scene import Simulation
+from deltacharger_bringup.scenes.scene import Simulation
 from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 from deltacharger_sim.pads import ContactSource
 from deltacharger_sim.world import World

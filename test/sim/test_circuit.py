@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from deltacharger_core.machine import BAR_LENGTH, Port, port_of
-from deltacharger_driver.emulators.power import Outputs, PortParameters
 from deltacharger_sim.circuit import Circuit, Overlap
+from deltacharger_sim.emulators.power import Outputs, PortParameters
 from deltacharger_sim.parameters import CircuitParameters
 from deltacharger_sim.touch import Bars
 

@@ -13,10 +13,10 @@ from typing import Any
 
 import pytest
 
-from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.servos.link import ServoLink
 from deltacharger_sim.charger.fault_channel import ControlServer, answer, ask
 from deltacharger_sim.charger.faults import KINDS, Faults, Hardware
+from deltacharger_sim.emulators.servo_bus import ServoBusEmulator
 
 from ..driver.board_bench import Bench
 from ..driver.virtual_line import Clock, Line

@@ -71,7 +71,7 @@ class Diagnostics:
 
 @pytest.fixture(scope="module")
 def charger(context: Any) -> Iterator[Any]:
-    from deltacharger_scenes.scene import parse_scene
+    from deltacharger_bringup.scenes.scene import parse_scene
 
     from ..quick import QUICK
     from ..running_charger import RunningCharger

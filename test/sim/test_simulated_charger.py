@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 import serial
 
+from deltacharger_bringup.scenes.scene import parse_scene
 from deltacharger_driver.packets import PING, instruction_packet
-from deltacharger_scenes.scene import parse_scene
 from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 from deltacharger_sim.charger.simulation import Simulation
 

@@ -12,9 +12,9 @@ import pytest
 
 from deltacharger_core.machine import POSITION_D_GAIN, POSITION_P_GAIN
 from deltacharger_core.servo_types import MX_64
-from deltacharger_driver.emulators.servo import OK
-from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.servos.registers import REGISTERS, TICK
+from deltacharger_sim.emulators.servo import OK
+from deltacharger_sim.emulators.servo_bus import ServoBusEmulator
 from deltacharger_sim.parameters import (
     TargetParameters,
     WorldParameters,

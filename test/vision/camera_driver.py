@@ -13,7 +13,7 @@ from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
-from deltacharger_ros.messages import duration
+from deltacharger_core.ros.messages import duration
 from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.rendering.camera import SimulatedCamera

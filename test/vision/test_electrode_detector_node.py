@@ -21,8 +21,8 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
-from deltacharger_ros.messages import duration
-from deltacharger_ros.node_support import StartupError
+from deltacharger_core.ros.messages import duration
+from deltacharger_core.ros.node_support import StartupError
 from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.mount import Mount, quaternion
 from deltacharger_vision.ros.messages import camera_info_message, color_message, depth_message

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_bringup.records.session import SUBSETS, Part, Rested, TouchSession, check_places
 from deltacharger_core.machine import CONTACT_FORCE, FRAME_RATE
 from deltacharger_docking.codes import DockingError
 from deltacharger_docking.observation import ElectrodePose, Reply, Service
@@ -28,7 +29,6 @@ from deltacharger_lab.campaigns.draw import seen_at
 from deltacharger_lab.campaigns.parts import NOMINAL
 from deltacharger_lab.campaigns.scene import DEFAULT, load_campaign_scene
 from deltacharger_lab.reports.pool import ReportTask, work
-from deltacharger_records.session import SUBSETS, Part, Rested, TouchSession, check_places
 from deltacharger_sim.pads import ContactSource
 from deltacharger_sim.parameters import TargetParameters, WorldParameters
 from deltacharger_sim.virtual.quick_charger import QuickCharger

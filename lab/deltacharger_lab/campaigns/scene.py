@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from deltacharger_bringup.scenes.scene import find_file, read_file
 from deltacharger_core.files import brief
 from deltacharger_core.parameters import Declaration, ParameterError, did_you_mean
 from deltacharger_core.yaml_file import read_yaml
 from deltacharger_lab.campaigns.keys import DERIVED, TAKEN, known_keys, refuse_contradictions
 from deltacharger_lab.campaigns.parts import Spread, Value, assumed_geometry, build_parts, read_spread
-from deltacharger_scenes.scene import find_file, read_file
 
 DEFAULT = "default"
 _PACKAGED = Path(__file__).parents[1] / "scenes"

@@ -10,8 +10,8 @@ from typing import Any
 
 from deltacharger_docking.observation import DockGoal, DockingOutcome, ElectrodePose
 from deltacharger_docking.parameters import TargetProfile
-from deltacharger_driver.emulators.power import PortParameters, StageParameters
 from deltacharger_sim.circuit import TARGET_KINDS
+from deltacharger_sim.emulators.power import PortParameters, StageParameters
 from deltacharger_sim.parameters import LITHIUM_7S, WorldParameters
 from deltacharger_sim.virtual.virtual_charger import VirtualCharger
 

@@ -22,11 +22,11 @@ from deltacharger_docking.observation import (
     Request,
     Service,
 )
-from deltacharger_driver.emulators.power import Outputs
 from deltacharger_lab.campaigns.faults import Acting, HostileFault, Reading, ServoOrder
 from deltacharger_lab.campaigns.hostile import GOAL, SCENES, SUSPENDED, TIMED, allowed, draw_faults
 from deltacharger_lab.campaigns.judge import BY_HAND, GRACE, GRACE_STALLED, WorldJudge, broken
 from deltacharger_sim.circuit import Circuit
+from deltacharger_sim.emulators.power import Outputs
 from deltacharger_sim.pads import Lean, PadSource, Pose
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.virtual.quick_charger import QuickCharger, QuickPlanner

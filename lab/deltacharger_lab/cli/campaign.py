@@ -25,6 +25,7 @@ from deltacharger_bringup.cli.output import (
     log_line,
     wrong_input,
 )
+from deltacharger_bringup.scenes.scene import SceneError
 from deltacharger_lab.campaigns.compare import compare_campaigns, describe
 from deltacharger_lab.campaigns.runner import run_missing
 from deltacharger_lab.campaigns.scene import load_campaign_scene
@@ -38,7 +39,6 @@ from deltacharger_lab.campaigns.store import (
     versions,
 )
 from deltacharger_lab.campaigns.summary import COLUMNS, summarise
-from deltacharger_scenes.scene import SceneError
 
 _DEFAULT_COUNT = 100
 

@@ -154,9 +154,9 @@ def _docking(options: argparse.Namespace) -> Result:
 def _footprint(options: argparse.Namespace) -> Result:
     """Write the report of the resources that each scene needs into a folder."""
     from deltacharger_bringup.cli.charger import require_domain, ros_context
+    from deltacharger_bringup.scenes.scene import SceneError
     from deltacharger_core import environment
     from deltacharger_lab.reports.footprint import measure as footprint
-    from deltacharger_scenes.scene import SceneError
 
     scenes = options.scene or []
     unsupported = footprint.unsupported()

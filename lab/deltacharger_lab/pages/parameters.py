@@ -14,10 +14,10 @@ from rclpy.node import Node
 
 from deltacharger_core import environment, streams
 from deltacharger_core.parameters import Declaration, declared
+from deltacharger_core.ros.node_support import ros_problem
 from deltacharger_docking.parameters import TargetProfile
 from deltacharger_lab.campaigns.keys import FACTS, PARTS, known_keys
 from deltacharger_lab.second.parameters import SecondParameters
-from deltacharger_ros.node_support import ros_problem
 from deltacharger_sim.parameters import WorldParameters
 
 
@@ -111,9 +111,9 @@ def _allowed(descriptor: Any) -> str:
 @contextmanager
 def every_node(context: Context, namespace: str) -> Iterator[list[Node]]:
     """Run the nodes of a robot, of its simulation and of its display, each once, and return them."""
-    from deltacharger_records.view.passive_joints_node import PassiveJointsNode
-    from deltacharger_scenes.composition import Composition
-    from deltacharger_scenes.scene import STANDARD_NODES, parse_scene
+    from deltacharger_bringup.records.view.passive_joints_node import PassiveJointsNode
+    from deltacharger_bringup.scenes.composition import Composition
+    from deltacharger_bringup.scenes.scene import STANDARD_NODES, parse_scene
 
     others = ("simulated_camera_node", "electrode_detector_node", "mission_node", "docking_recorder_node")
     names = [*STANDARD_NODES, *others]

@@ -12,13 +12,13 @@ from pathlib import Path
 
 from rclpy.node import Node
 
+from deltacharger_bringup.records.arm_client import ArmClient
+from deltacharger_bringup.records.charger import RecordingCharger
+from deltacharger_bringup.records.replay.record import Recorder
+from deltacharger_core.ros.client import ChargerClient, Guest
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_lab.pages.parameters import with_every_node
 from deltacharger_lab.pages.topics import Endpoint, endpoints, everything
-from deltacharger_records.arm_client import ArmClient
-from deltacharger_records.charger import RecordingCharger
-from deltacharger_records.replay.record import Recorder
-from deltacharger_ros.client import ChargerClient, Guest
 
 FOLDER = Path(__file__).parents[3] / "config" / "security"
 _GRANTS = {

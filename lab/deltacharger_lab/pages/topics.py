@@ -15,8 +15,8 @@ from rclpy.action.graph import get_action_client_names_and_types_by_node, get_ac
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
+from deltacharger_core.ros.frames import TF, TF_STATIC
 from deltacharger_lab.pages.parameters import write_page
-from deltacharger_ros.frames import TF, TF_STATIC
 
 PARTS = {".msg": ("",), ".srv": ("Request", "Response"), ".action": ("Goal", "Result", "Feedback")}
 _LICENCE = "SPDX-License-Identifier:"

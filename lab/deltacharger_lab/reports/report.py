@@ -22,8 +22,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from deltacharger_core.ros.outcomes import json_ready
 from deltacharger_lab.reports import formats
-from deltacharger_ros.outcomes import json_ready
 
 _TEMPLATES = Path(__file__).parent / "templates"
 _FILTERS = dict(inspect.getmembers(formats, inspect.isfunction))

@@ -15,7 +15,7 @@ import pytest
 
 from deltacharger_bringup.doctor.environment import examine_camera, examine_settings, running
 from deltacharger_bringup.doctor.findings import Finding, checked, ok
-from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
+from deltacharger_sim.emulators.servo_bus import ServoBusEmulator
 
 from ...emulated_ports import IDS
 from ..command import Capture, answer, run

@@ -19,11 +19,11 @@ from deltacharger_bringup.doctor.servos import examine_servos
 from deltacharger_driver import ports
 from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.board.protocol import BoardFault
-from deltacharger_driver.emulators.board import BoardEmulator
-from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.port_identity import SERVO_SPEEDS
 from deltacharger_driver.ports import PseudoTerminal, holders
 from deltacharger_driver.servos.registers import WATCHDOG_TRIPPED
+from deltacharger_sim.emulators.board import BoardEmulator
+from deltacharger_sim.emulators.servo_bus import ServoBusEmulator
 
 from ...emulated_ports import IDS, use_protocol_1, written
 from ...plants import BenchArm, BenchPlant

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deltacharger_core.servo_types import MX_64, ServoType
-from deltacharger_driver.emulators.board import BoardEmulator
-from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.parameters import REPLY_MARGIN
 from deltacharger_driver.ports import PseudoTerminal
 from deltacharger_driver.servos.registers import BusSettings
+from deltacharger_sim.emulators.board import BoardEmulator
+from deltacharger_sim.emulators.servo_bus import ServoBusEmulator
 
 from ...plants import BenchArm, BenchPlant
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A stand-in for tf2_ros where no tf2 is installed: the part of its Buffer that deltacharger_ros.frames uses."""
+"""A stand-in for tf2_ros where no tf2 is installed: the part of its Buffer that deltacharger_core.ros.frames uses."""
 
 from __future__ import annotations
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from deltacharger_bringup.records.replay.picture import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, RED
 from deltacharger_lab.plotting import Axes, picture, top_legend
 from deltacharger_lab.reports.docking import summary
 from deltacharger_lab.reports.docking.lean import MAP, MOST
 from deltacharger_lab.reports.docking.summary import Columns
-from deltacharger_records.replay.picture import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, RED
 
 NAME = "docking-lean.png"
 _KINDS = (

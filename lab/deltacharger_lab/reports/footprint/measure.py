@@ -19,11 +19,11 @@ from deltacharger.msg import ServoState, TactileFrame
 from rclpy.context import Context
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 
-from deltacharger_ros.client import ChargerClient, ClientError
-from deltacharger_ros.messages import seconds
-from deltacharger_ros.outcomes import DockRequest, Pose
-from deltacharger_scenes.node_table import NODES
-from deltacharger_scenes.scene import Scene, SceneError, SceneGoal, load_scene, packaged_scenes
+from deltacharger_bringup.scenes.node_table import NODES
+from deltacharger_bringup.scenes.scene import Scene, SceneError, SceneGoal, load_scene, packaged_scenes
+from deltacharger_core.ros.client import ChargerClient, ClientError
+from deltacharger_core.ros.messages import seconds
+from deltacharger_core.ros.outcomes import DockRequest, Pose
 
 if TYPE_CHECKING:
     import psutil

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from deltacharger_bringup.records.replay.picture import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, RED
 from deltacharger_core.machine import SERVO_STIFFNESS
 from deltacharger_lab.plotting import Axes, note, picture
 from deltacharger_lab.reports.formats import fixed, tens
@@ -25,7 +26,6 @@ from deltacharger_lab.reports.simulation.scenes import (
     models_here,
     rms,
 )
-from deltacharger_records.replay.picture import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, RED
 
 _COLOURS = {LIGHT: BLUE, MUJOCO: ORANGE, MUJOCO_FAST: GREEN, MUJOCO_USUAL: PURPLE}
 _FLOOR = 1e-7  # % of force error, drawn for smaller ones

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from deltacharger_bringup.records.replay.picture import BLUE, FAINT, GREEN, INK, ORANGE
 from deltacharger_lab.plotting import Axes, note, picture, plain_ticks, top_legend
 from deltacharger_lab.reports.formats import grouped
 from deltacharger_lab.reports.pool import ReportTask, joined, work
@@ -21,7 +22,6 @@ from deltacharger_lab.reports.tactile.measure import BINS, NONE, WINDOWS, judge_
 from deltacharger_lab.reports.tactile.plan import KINDS, SETS, TARGETS, TactilePlan, absent, default, kind, title
 from deltacharger_lab.second.parameters import SecondParameters
 from deltacharger_lab.training.reliability import NOMINAL
-from deltacharger_records.replay.picture import BLUE, FAINT, GREEN, INK, ORANGE
 from deltacharger_tactile.parameters import TactileParameters
 
 COLOURS = {"shallow": ORANGE, "deep": BLUE, "physical": GREEN}

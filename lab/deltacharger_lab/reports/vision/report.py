@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from deltacharger_bringup.records.replay.picture import BLUE, FAINT, ORANGE, RED
 from deltacharger_core.arrays import Array
 from deltacharger_lab.campaigns.summary import quantiles, upper_bound
 from deltacharger_lab.plotting import note, picture, plain_ticks, top_legend
@@ -33,7 +34,6 @@ from deltacharger_lab.reports.vision.conditions import (
     members,
 )
 from deltacharger_lab.reports.vision.measure import FIELDS, LEVELS, MOUNT_FIELDS, judge, judge_mount, times
-from deltacharger_records.replay.picture import BLUE, FAINT, ORANGE, RED
 
 FULL, QUICK = 150, 15
 """Images of a usual row."""
