@@ -5,8 +5,6 @@ An included launch file inherits every argument of the including one that has th
 prefix: a robot's own `namespace` or `camera` does not change its charger.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Collection, Iterable, Mapping
 from itertools import pairwise

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Environment variables that the executables set for themselves unless the user has set them; the version."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import sys

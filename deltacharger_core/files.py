@@ -6,8 +6,6 @@ A path may name an endless device, a pipe without a writer, a folder or a huge f
 this module, so that none blocks, exhausts memory or takes long to refuse.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os

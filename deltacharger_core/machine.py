@@ -5,8 +5,6 @@ Axes are those of `charger_base`: +z points at the target, +y is up. Values that
 parameters; their defaults refer to these constants.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from enum import IntEnum

@@ -4,8 +4,6 @@
 Messages stay CDR bytes; callers that have ROS decode them. Needs the package mcap (`deltacharger[record]`).
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os

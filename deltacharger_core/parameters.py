@@ -5,8 +5,6 @@ A package declares its parameters once, in its `parameters.py`. Constructor chec
 parameters and docs/parameters.md follow from these declarations.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import difflib
 import functools
@@ -17,8 +15,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
-from deltacharger_core.files import brief
-from deltacharger_core.texts import ON_ROBOT, outside
+from deltacharger_core import files, texts
 
 T = TypeVar("T")
 
@@ -81,7 +78,7 @@ class Declaration:
         if not isinstance(self.default, tuple):
             return self._problem(value)
         if not isinstance(value, list | tuple):
-            return f"{brief(value)} is not a list"
+            return f"{files.brief(value)} is not a list"
         if self.kind is not str and len(value) != len(self.default):
             return f"has {len(value)} numbers; give {len(self.default)}"
         return next((problem for item in value if (problem := self._problem(item))), "")
@@ -89,14 +86,14 @@ class Declaration:
     def _problem(self, value: Any) -> str:
         allowed: Any = (int, float) if self.kind is float else self.kind
         if not isinstance(value, allowed) or (isinstance(value, bool) and self.kind is not bool):
-            return f"{brief(value)} is not {_KINDS[self.kind]}{self._range('; allowed are ')}"
+            return f"{files.brief(value)} is not {_KINDS[self.kind]}{self._range('; allowed are ')}"
         if self.choices and value not in self.choices:
-            return f"{brief(value)} is not one of {', '.join(self.choices)}"
+            return f"{files.brief(value)} is not one of {', '.join(self.choices)}"
         if self.kind not in (int, float):
             return ""
         if not math.isfinite(value):
-            return f"{brief(value)} is not finite{self._range('; allowed are ')}"
-        return outside(value, self.low, self.high, self.unit)
+            return f"{files.brief(value)} is not finite{self._range('; allowed are ')}"
+        return texts.outside(value, self.low, self.high, self.unit)
 
     def _range(self, before: str) -> str:
         return f"{before}{self.low:.10g} to {self.high:.10g} {self.unit}".rstrip() if math.isfinite(self.low) else ""
@@ -126,7 +123,9 @@ def numbers(default: tuple[float, ...], low: float, high: float, unit: str, text
 
 def pose(default: tuple[float, ...], text: str) -> Any:
     """Declare a pose on a robot: seven numbers, of which the quaternion may have any length."""
-    return numbers(default, -ON_ROBOT, ON_ROBOT, "m", f"{text}: x, y, z in {{unit}}, then the quaternion x, y, z, w")
+    return numbers(
+        default, -texts.ON_ROBOT, texts.ON_ROBOT, "m", f"{text}: x, y, z in {{unit}}, then the quaternion x, y, z, w"
+    )
 
 
 def flag(default: bool, text: str) -> Any:
@@ -211,12 +210,12 @@ def from_mapping(mapping: Any, cls: type[T], path: str = "") -> T:
         ParameterError: states key, value and allowed values; for an unknown key the nearest known one.
     """
     if not isinstance(mapping, Mapping):
-        raise ParameterError(path or "(top)", mapping, f"{brief(mapping)} is not a mapping of keys to values")
+        raise ParameterError(path or "(top)", mapping, f"{files.brief(mapping)} is not a mapping of keys to values")
     hints = _hints(cls)  # type: ignore[arg-type]  # a class is hashable
     names = [item.name for item in dataclasses.fields(cls)]  # type: ignore[arg-type]
     values: dict[str, Any] = {}
     for key, value in mapping.items():
-        name = str(key) if len(str(key)) <= _LONGEST_KEY else brief(key)
+        name = str(key) if len(str(key)) <= _LONGEST_KEY else files.brief(key)
         where = f"{path}.{name}" if path else name
         if key not in names:
             known = did_you_mean(key, names) or f"; known are {', '.join(names)}"
@@ -237,6 +236,6 @@ def _convert(value: Any, hint: Any, where: str) -> Any:
         return None if value is None else _convert(value, arguments[0], where)
     if origin is tuple:
         if not isinstance(value, list | tuple):
-            raise ParameterError(where, value, f"{brief(value)} is not a list")
+            raise ParameterError(where, value, f"{files.brief(value)} is not a list")
         return tuple(_convert(entry, arguments[0], f"{where}[{index}]") for index, entry in enumerate(value))
     return float(value) if hint is float and type(value) is int else value

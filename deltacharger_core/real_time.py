@@ -7,8 +7,6 @@ that it shows, so a step makes no data older or younger. Stamps of another compu
 of the time of the step, or as from the future.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import math

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Private folder by which processes of one user on this computer find each other, with an entry per charger."""
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import os

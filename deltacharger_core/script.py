@@ -6,8 +6,6 @@ only waits, so that a scheduler in virtual time can take longer steps; a real-ti
 the mission use scripts.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Generator, Iterable

@@ -6,25 +6,11 @@ Every type speaks Protocol 2.0, has the control table of the vendor's X series, 
 (current-based position). All figures are from the vendor's e-manuals for 12 V, except where a row says otherwise.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
-from deltacharger_core.machine import (
-    CURRENT_BOUND,
-    GAIN_MAX,
-    JOINT_SPEED,
-    POSITION_D_GAIN,
-    POSITION_P_GAIN,
-    SERVO_DAMPING,
-    SERVO_STIFFNESS,
-    STALL_CURRENT,
-    STALL_TORQUE,
-    TICKS_PER_TURN,
-    TORQUE_CONSTANT,
-)
-from deltacharger_core.parameters import Bounded, number, words
+from deltacharger_core import machine, parameters
+from deltacharger_core.parameters import number, words
 
 SPEEDS = {0: 9600, 1: 57600, 2: 115200, 3: 1_000_000, 4: 2_000_000, 5: 3_000_000, 6: 4_000_000}
 """Value of the baud register → bit/s; 7 (4.5 M) is not a standard speed of Linux."""
@@ -94,22 +80,24 @@ class ServoType:
     @property
     def stiffness_per_gain(self) -> float:
         """N·m/rad per count of the position P gain, as `machine.STIFFNESS_PER_GAIN`."""
-        return self.stall_torque / self.pwm_limit / 128 * TICKS_PER_TURN / (2.0 * math.pi)
+        return self.stall_torque / self.pwm_limit / 128 * machine.TICKS_PER_TURN / (2.0 * math.pi)
 
     @property
     def damping_per_gain(self) -> float:
         """N·m·s/rad per count of the position D gain, as `machine.DAMPING_PER_GAIN`."""
-        return self.stall_torque / self.pwm_limit / 16 * TICKS_PER_TURN / (2.0 * math.pi) * 0.001
+        return self.stall_torque / self.pwm_limit / 16 * machine.TICKS_PER_TURN / (2.0 * math.pi) * 0.001
 
     @property
     def gains(self) -> tuple[int, int]:
         """Position P and D gain with which it is as stiff and as damped as every other type."""
-        return round(SERVO_STIFFNESS / self.stiffness_per_gain), round(SERVO_DAMPING / self.damping_per_gain)
+        return round(machine.SERVO_STIFFNESS / self.stiffness_per_gain), round(
+            machine.SERVO_DAMPING / self.damping_per_gain
+        )
 
     @property
     def current_bound(self) -> float:
         """A with the torque of `machine.CURRENT_BOUND` on an MX-64."""
-        return CURRENT_BOUND * (MX_64.torque_constant / self.torque_constant)
+        return machine.CURRENT_BOUND * (MX_64.torque_constant / self.torque_constant)
 
     @property
     def heat_limit(self) -> float:
@@ -126,9 +114,9 @@ MX_64 = ServoType(
     current_limit=1941,
     velocity_limit=285,
     position_p_gain=850,
-    stall_torque=STALL_TORQUE,
-    stall_current=STALL_CURRENT,
-    joint_speed=JOINT_SPEED,
+    stall_torque=machine.STALL_TORQUE,
+    stall_current=machine.STALL_CURRENT,
+    joint_speed=machine.JOINT_SPEED,
     heat_current=3.0,  # servos/report.py has the statements on which it rests
 )
 """The paper's, with firmware for Protocol 2.0."""
@@ -172,17 +160,17 @@ STIFFNESS_MIN, STIFFNESS_MAX = 0.5, 160.0
 
 
 @dataclass(frozen=True)
-class ServosFileParameters(Bounded):
+class ServosFileParameters(parameters.Bounded):
     """Path of the file of measured servos."""
 
     servos_file: str = words("", "YAML file of `deltacharger calibrate servos`; the only source of the values in it")
 
 
 @dataclass(frozen=True)
-class MeasuredServos(Bounded):
+class MeasuredServos(parameters.Bounded):
     """What nodes use of an arm's measured servos: means of the three, and the gains of the measurement."""
 
-    stiffness: float = number(SERVO_STIFFNESS, STIFFNESS_MIN, STIFFNESS_MAX, "N·m/rad", "of the position loop")
-    torque_constant: float = number(TORQUE_CONSTANT, 0.1, 10.0, "N·m/A", "torque per current")
-    position_p_gain: int = number(POSITION_P_GAIN, 1, GAIN_MAX, "", "P gain during the measurement")
-    position_d_gain: int = number(POSITION_D_GAIN, 0, GAIN_MAX, "", "D gain during the measurement")
+    stiffness: float = number(machine.SERVO_STIFFNESS, STIFFNESS_MIN, STIFFNESS_MAX, "N·m/rad", "of the position loop")
+    torque_constant: float = number(machine.TORQUE_CONSTANT, 0.1, 10.0, "N·m/A", "torque per current")
+    position_p_gain: int = number(machine.POSITION_P_GAIN, 1, machine.GAIN_MAX, "", "P gain during the measurement")
+    position_d_gain: int = number(machine.POSITION_D_GAIN, 0, machine.GAIN_MAX, "", "D gain during the measurement")

@@ -5,8 +5,6 @@ Output errors never stop a process: an arm must not stop half-way because of a p
 remembered, so that a command can report it at its end.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import sys

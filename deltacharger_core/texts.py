@@ -6,8 +6,6 @@ Everything is in metres and radians, but people measure in millimetres and degre
 other, so it is refused by its size.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 

@@ -5,16 +5,13 @@ Content of untrusted files is plain and bounded: text, numbers, lists and mappin
 is imported with the first file.
 """
 
-from __future__ import annotations
-
 import functools
 import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from deltacharger_core.files import LARGEST_TEXT, FileRefused, brief, read_bytes, write_text
-from deltacharger_core.parameters import ParameterError, from_mapping
+from deltacharger_core import files, parameters
 
 T = TypeVar("T")
 
@@ -56,8 +53,8 @@ def read_yaml(path: str | Path, *, first: bool = False) -> Any:
     import yaml
 
     try:
-        content = read_bytes(path, LARGEST_TEXT)
-    except FileRefused as error:
+        content = files.read_bytes(path, files.LARGEST_TEXT)
+    except files.FileRefused as error:
         raise YamlError(path, str(error.strerror)) from error
     try:
         text = content.decode("utf-8")
@@ -84,8 +81,8 @@ def read_declared(path: str | Path, kind: type[T]) -> T:
     """
     content = read_yaml(path)
     try:
-        return from_mapping({} if content is None else content, kind)
-    except ParameterError as error:
+        return parameters.from_mapping({} if content is None else content, kind)
+    except parameters.ParameterError as error:
         raise ValueError(f"{path}: {error}") from error
 
 
@@ -108,7 +105,7 @@ def write_yaml(path: str | Path, content: Mapping[str, Any], comment: str = "") 
 
     head = "".join(f"# {line}".rstrip() + "\n" for line in comment.splitlines())
     text = yaml.dump(dict(content), Dumper=Dumper, sort_keys=False, default_flow_style=None, width=120)
-    write_text(path, head + text)
+    files.write_text(path, head + text)
 
 
 def _bound(text: str) -> None:
@@ -143,7 +140,7 @@ def _loader() -> Any:
                 key = self.construct_object(key_node, deep=True)
                 wrong = "is not text" if not isinstance(key, str) else "is given twice" if key in found else ""
                 if wrong:
-                    problem = f"the key {brief(key)} {wrong}"
+                    problem = f"the key {files.brief(key)} {wrong}"
                     raise yaml.MarkedYAMLError(problem=problem, problem_mark=key_node.start_mark)
                 found[key] = self.construct_object(value_node, deep=deep)
             return found

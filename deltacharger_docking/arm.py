@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Docking's model of the arm: how its servos yield, how its platform tilts, and the lines that it can follow."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from itertools import pairwise
@@ -12,11 +10,9 @@ import numpy as np
 from deltacharger_core.machine import PAD_YAW_STIFFNESS, SERVO_DAMPING, SERVO_INERTIA, SERVO_STIFFNESS
 from deltacharger_docking.codes import Unreachable
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_kinematics import Delta, DeltaGeometry, Status
+from deltacharger_kinematics import Delta, DeltaGeometry, Status, swing, trajectory_feed
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.line import Line, LineRefused, plan_line
-from deltacharger_kinematics.swing import Swung
-from deltacharger_kinematics.trajectory_feed import Waypoint
 
 LOAD_SHARES = 0.15, 0.3
 """Of a motor's torque, least and most that its gear takes: BAM's fits of the MX-64, without the worst."""
@@ -98,7 +94,7 @@ class Springs:
         high = (1.0 - least) * _CONSTANT_MAX * told + _HELD_ON * self.friction_force
         return min(low, high), max(low, high)  # a pull turns the factors' order
 
-    def learn_swing(self, servos: Sequence[Swung]) -> None:
+    def learn_swing(self, servos: Sequence[swing.Swung]) -> None:
         """Take over what the servos showed of their springs and dampers; NaN = not shown."""
         a, b, c = (each.damping for each in servos)
         self.dampings = a, b, c
@@ -182,7 +178,7 @@ class Planner:
         self._delta = Delta(geometry)
         self.springs = Springs(parameters)
 
-    def line(self, start: Vector, goal: Vector, speed: float) -> tuple[Waypoint, ...]:
+    def line(self, start: Vector, goal: Vector, speed: float) -> tuple[trajectory_feed.Waypoint, ...]:
         """Return the waypoints from `start` to `goal`, without the start itself.
 
         The commanded angles lead the desired ones by the servos' yield under the arm's weight. The goal may be outside
@@ -209,7 +205,7 @@ class Planner:
         angles, velocities = self._command(line, held / self.springs.stiffness)
         bound = np.abs(held) + self._beyond_weight()
         return tuple(
-            Waypoint(time, _vector(row), _vector(torque), _vector(rate))
+            trajectory_feed.Waypoint(time, _vector(row), _vector(torque), _vector(rate))
             for time, row, torque, rate in list(zip(line.times.tolist(), angles, bound, velocities, strict=True))[1:]
         )
 

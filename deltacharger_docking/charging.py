@@ -1,19 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Charging under supervision, until it is no longer wanted, the target is full, or a check fails."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
 from deltacharger_core.script import Script
-from deltacharger_docking.clearance import judge
-from deltacharger_docking.codes import CriticalAngle, DockingError, EstimateUnsure, NoChargeCurrent, TactileStale
+from deltacharger_docking import clearance, codes, energy, observation, touch
 from deltacharger_docking.context import SAME_SAMPLE, Context
-from deltacharger_docking.energy import NO_CURRENT
-from deltacharger_docking.observation import DockGoal, Reply, Service
 from deltacharger_docking.parameters import TargetProfile
-from deltacharger_docking.touch import MEASURE_TIMEOUT, Target, keep_evidence, with_pitch
 
 CLEARANCE_PERIOD = 2.0  # s, period of clearance checks while charging
 _CLEARANCE_FRAMES = 12  # tactile frames averaged in one check while charging
@@ -43,7 +37,7 @@ _CHANGED, _SAME = 0.5, 0.2  # share of a rise by which it changed, so that the n
 class Order:
     """The present client's request for the docked target, its start (s), and the limit of the angle (rad)."""
 
-    goal: DockGoal
+    goal: observation.DockGoal
     critical_angle: float
     since: float
 
@@ -122,14 +116,14 @@ class Charged:
         if not (now > self._sampled + SAME_SAMPLE and math.isfinite(current + volts)):
             return ""  # other checks handle what is not measured
         elapsed, self._sampled = now - self._sampled, now
-        whole = current >= NO_CURRENT and seen.least_current >= _KEEPS * current - _NOISE
+        whole = current >= energy.NO_CURRENT and seen.least_current >= _KEEPS * current - _NOISE
         unbroken = whole and current >= self._measurable
-        self._gap = math.inf if current >= NO_CURRENT else min(self._gap, now)
+        self._gap = math.inf if current >= energy.NO_CURRENT else min(self._gap, now)
         if now - self._gap >= profile.gap_time:
             if self.at_full and (self._is_shown or self._gap - self._quiet >= _TAPERS):
                 return "cut by the target"
             raise self._not_full("current ended", "the target's battery management, its input or a contact cut it off")
-        broken = min(current, seen.least_current if current >= self._measurable else current) < NO_CURRENT
+        broken = min(current, seen.least_current if current >= self._measurable else current) < energy.NO_CURRENT
         if broken and self.at_full and self._is_shown:
             self._pulses = self._pulses if now - self._broken <= _PULSES else now
             self._broken = now
@@ -230,20 +224,24 @@ class Charged:
         hot, least = 2.0 * self.rise - min(before, self.rise), min(_LEAST, self._profile.current)
         self.limit = min(self._profile.current, max(math.sqrt(_HEAT / hot), least) if hot else math.inf)
         if min(before, self.rise) * least * least > _HEAT:
-            raise NoChargeCurrent(f"contact resistance rose to {1000.0 * self.rise:.0f} mΩ: clean the electrodes")
+            raise codes.NoChargeCurrent(f"contact resistance rose to {1000.0 * self.rise:.0f} mΩ: clean the electrodes")
         self._set_limit(self.limit)
 
     def _set_limit(self, current: float) -> None:
         self._context.limits = self._context.limits._replace(current=current)
 
-    def _not_full(self, what: str, cause: str) -> NoChargeCurrent:
+    def _not_full(self, what: str, cause: str) -> codes.NoChargeCurrent:
         if not self._is_shown:
-            return NoChargeCurrent(f"{what}; whether the target is full is unknown: its port does not show its battery")
+            return codes.NoChargeCurrent(
+                f"{what}; whether the target is full is unknown: its port does not show its battery"
+            )
         volts = self._told if math.isfinite(self._told) else self._context.observation.target_voltage
-        return NoChargeCurrent(f"{what} at {volts:.1f} V of {self._profile.full_voltage:.1f} V: not full; {cause}")
+        return codes.NoChargeCurrent(
+            f"{what} at {volts:.1f} V of {self._profile.full_voltage:.1f} V: not full; {cause}"
+        )
 
 
-def charge(context: Context, order: Order, target: Target) -> Script[str]:
+def charge(context: Context, order: Order, target: touch.Target) -> Script[str]:
     """Supervise charging until a stop condition, a goal without charging, or a full target; return the reason.
 
     Raises:
@@ -269,15 +267,17 @@ def charge(context: Context, order: Order, target: Target) -> Script[str]:
         yield next(checks)
 
 
-def clearance_checks(context: Context, order: Order, target: Target) -> Script[None]:
+def clearance_checks(context: Context, order: Order, target: touch.Target) -> Script[None]:
     """Check the clearance periodically; end charging after too many checks in a row that find none or are unsure."""
     parameters = context.parameters
     unsafe = blind = 0
     while True:
         yield from context.wait(CLEARANCE_PERIOD)
         context.evidence.begin()
-        reply = yield from context.ask(Service.ESTIMATE, TactileStale, MEASURE_TIMEOUT, _CLEARANCE_FRAMES)
-        estimate = None if reply.estimate is None else with_pitch(context, reply.estimate)
+        reply = yield from context.ask(
+            observation.Service.ESTIMATE, codes.TactileStale, touch.MEASURE_TIMEOUT, _CLEARANCE_FRAMES
+        )
+        estimate = None if reply.estimate is None else touch.with_pitch(context, reply.estimate)
         if estimate is None or not estimate.usable:
             blind += 1
             context.decide("blind", "the clearance could not be measured", times=blind)
@@ -286,17 +286,17 @@ def clearance_checks(context: Context, order: Order, target: Target) -> Script[N
             continue
         blind = 0
         context.status.estimate = target.place.combined(estimate, later=True)
-        keep_evidence(context, estimate)
-        lost = not judge(estimate, parameters, order.critical_angle).leaves_clearance
+        touch.keep_evidence(context, estimate)
+        lost = not clearance.judge(estimate, parameters, order.critical_angle).leaves_clearance
         unsafe = unsafe + 1 if lost else 0
         if lost:
             context.decide("unsafe", "the clearance is too small", times=unsafe, **estimate.numbers)
         if unsafe >= UNSAFE_MAX:
             place = f"{math.degrees(estimate.angle):.1f}°, {1000 * estimate.across:.1f} mm across the bars"
-            raise CriticalAngle(f"the target moved while charging: {place} leave no clearance")
+            raise codes.CriticalAngle(f"the target moved while charging: {place} leave no clearance")
 
 
-def _blind(reply: Reply, count: int) -> DockingError:
+def _blind(reply: observation.Reply, count: int) -> codes.DockingError:
     if reply.estimate is None:
-        return TactileStale(f"no misalignment estimate while charging, {count} times in a row: {reply.message}")
-    return EstimateUnsure(f"the tactile estimate stayed unsure while charging, {count} times in a row")
+        return codes.TactileStale(f"no misalignment estimate while charging, {count} times in a row: {reply.message}")
+    return codes.EstimateUnsure(f"the tactile estimate stayed unsure while charging, {count} times in a row")

@@ -4,8 +4,6 @@
 The numbers are those of the constants in Dock.action, Undock.action and DockingState.msg.
 """
 
-from __future__ import annotations
-
 from enum import IntEnum
 
 from deltacharger_kinematics.geometry import Vector

@@ -6,8 +6,6 @@ frame: each millimetre of clearance that is lost changes at least 0.3 of their p
 devices); 2 mm along the bars change less than noise.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Iterator

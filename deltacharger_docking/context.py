@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """State that docking's scripts share: the latest observation, this tick's commands, and the ways to wait."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -12,11 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from deltacharger_core.machine import ORDER_AGE_MAX, ChargeLimits
-from deltacharger_core.script import NEXT, Calls, Script, Wait
-from deltacharger_docking import codes
-from deltacharger_docking.arm import Planner, RemainingShare
-from deltacharger_docking.codes import DockingError, State
+from deltacharger_core import machine, script
+from deltacharger_docking import arm, codes
 from deltacharger_docking.contact import CONTACT_LOST_CURRENT, CONTACT_WINDOW, PRESS_AGE_MAX, ContactCurrent, Evidence
 from deltacharger_docking.observation import (
     NAN3,
@@ -30,10 +25,9 @@ from deltacharger_docking.observation import (
     Service,
 )
 from deltacharger_docking.parameters import DockingParameters, TargetProfile
+from deltacharger_kinematics import scalar, trajectory_feed
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.line import way_done
-from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_kinematics.trajectory_feed import Piece, TrajectoryFeed, between, pull
 
 # Chosen on seeds of the family 777001, then 5 and 19.
 SETTLE_TOUCHING = 0.05  # s, shortest settling time of electrodes in contact
@@ -55,8 +49,8 @@ _HELD_MAX = 3.0  # s that the arm waits on its way for fresher data, as long as 
 _SHOWN = 0.1  # s in which servo_state shows what servo_node has done
 _NONE: Mapping[str, TargetProfile] = MappingProxyType({})
 _QUERIES = (Service.ESTIMATE, Service.DETECT)  # change nothing, however late they are answered
-_REACHES_OUT = (State.APPROACH, State.CONTACT, State.MEASURE, State.ALIGN)
-_MOVES = (*_REACHES_OUT, State.RETRACT)
+_REACHES_OUT = (codes.State.APPROACH, codes.State.CONTACT, codes.State.MEASURE, codes.State.ALIGN)
+_MOVES = (*_REACHES_OUT, codes.State.RETRACT)
 
 
 @dataclass(frozen=True)
@@ -91,24 +85,24 @@ class Context:
         self,
         parameters: DockingParameters,
         geometry: DeltaGeometry,
-        planner: Planner | None = None,
-        feed: TrajectoryFeed | None = None,
+        planner: arm.Planner | None = None,
+        feed: trajectory_feed.TrajectoryFeed | None = None,
         profiles: Mapping[str, TargetProfile] = _NONE,
     ) -> None:
         self.parameters = parameters
         self.profiles = profiles
         self.choose_profile("")
-        self.kinematics = ScalarDelta(geometry)
+        self.kinematics = scalar.ScalarDelta(geometry)
         self.contact = ContactCurrent(self.kinematics, parameters)
-        self.planner = planner or Planner(parameters, geometry)
+        self.planner = planner or arm.Planner(parameters, geometry)
         self.springs = self.planner.springs
-        self.feed = feed or TrajectoryFeed(self.springs.lag)
+        self.feed = feed or trajectory_feed.TrajectoryFeed(self.springs.lag)
         self.status = DockingStatus()
         self.observation = Observation(time=0.0)
         self.time = 0.0  # s, the observations' clock; stands still if that is set back
         self.pause = 0.0  # s that this observation came later than expected, or its clock was set back
         self.energise = False
-        self.limits = ChargeLimits(0.0, 0.0)  # of the closed contactor
+        self.limits = machine.ChargeLimits(0.0, 0.0)  # of the closed contactor
         self.charge_end = ""  # what ended charging in this goal
         self.charge_voltage = math.nan  # V of the target then
         self.port_shown = False  # a contact with this target has shown its voltage
@@ -124,7 +118,7 @@ class Context:
         self.energy_most = 0.0  # J, with full power for what was not measured
         self.angles: Vector = NAN3  # rad, the last measured ones
         self.commanded: Vector = NAN3
-        self.share = RemainingShare(parameters)
+        self.share = arm.RemainingShare(parameters)
         self.electrodes: ElectrodePose | None = None  # of the present target, as detected or given before contact
         self.known_contact: KnownContact | None = None  # on the present target
         self.drawn = math.nan  # m along x, by which the magnets drew the platform aside while it landed
@@ -135,13 +129,13 @@ class Context:
         self.goal_angles: Vector = NAN3  # final goals of the servos, if known
         self.started = 0.0  # s, of the goal
         self.deadline = math.inf
-        self.waits = NEXT  # what the script waited for in its last step
+        self.waits = script.NEXT  # what the script waited for in its last step
         self._retreats = False  # the line under way leads away from the target
         self._line: tuple[Vector, Vector, float] | None = None  # under way: start and end (m), peak speed (m/s)
-        self._calls: Calls[Reply] = Calls()
+        self._calls: script.Calls[Reply] = script.Calls()
         self._orders: dict[int, tuple[Service, float]] = {}  # unanswered, by number, with their time (s)
         self._held, self._held_since = "", 0.0  # by which old data the arm is held on its way, and since when (s)
-        self._override: Piece | None = None  # in place of the line under way
+        self._override: trajectory_feed.Piece | None = None  # in place of the line under way
         self._set_back = 0.0
         self._last_valid = self._last_felt = -math.inf
         self._requests: list[Request] = []
@@ -177,7 +171,7 @@ class Context:
         self._set_back += jump
         self.time = observation.time + self._set_back
         self.pause = max(jump, self.time - max(before, self.waits.until))
-        self.waits = NEXT
+        self.waits = script.NEXT
         valid = observation.servos_valid and _measured(observation.angles, observation.currents)
         earlier = tuple(reading for reading in observation.earlier if _measured(*reading[1:]))
         if valid is not observation.servos_valid or len(earlier) < len(observation.earlier):
@@ -228,8 +222,8 @@ class Context:
         """Remove answered orders. An order to go limp that came too late is repeated if no goal needs the torque."""
         for reply in replies:
             order, sent = self._orders.pop(reply.number, (None, self.time))
-            late = not reply.success and self.time - sent > ORDER_AGE_MAX
-            if late and order is Service.TORQUE_OFF and self.status.state is State.IDLE:
+            late = not reply.success and self.time - sent > machine.ORDER_AGE_MAX
+            if late and order is Service.TORQUE_OFF and self.status.state is codes.State.IDLE:
                 self.send(Service.TORQUE_OFF)
 
     def _tell_hold(self) -> None:
@@ -241,7 +235,7 @@ class Context:
                 name, missing = "servo_state", observation.servo_age > parameters.age_max
             else:
                 name, missing = "tactile_frame", observation.tactile_age > parameters.age_max
-            if not missing or self.status.state is State.RETRACT:
+            if not missing or self.status.state is codes.State.RETRACT:
                 self._held = f"{name} younger than {PRESS_AGE_MAX:g} s"
         if self._held or before:
             self.status.waiting_for = self._held
@@ -297,12 +291,12 @@ class Context:
         reaches_out = self.status.state in _REACHES_OUT and not self._retreats
         return observation.servo_age > oldest or (reaches_out and observation.tactile_age > oldest)
 
-    def enter(self, state: State, limit: float) -> None:
+    def enter(self, state: codes.State, limit: float) -> None:
         """Begin a phase that may last `limit` seconds."""
         self.status.state = state
         self.deadline = self.time + limit
 
-    def expired(self) -> DockingError | None:
+    def expired(self) -> codes.DockingError | None:
         """Return the error of a phase that lasted too long, or whose data stayed too old to move on, if so."""
         if self._held and self.time - self._held_since > _HELD_MAX:
             observation = self.observation
@@ -325,22 +319,24 @@ class Context:
         finally:
             self.status.waiting_for = ""
 
-    def wait(self, seconds: float, reads: bool = False) -> Script[None]:
+    def wait(self, seconds: float, reads: bool = False) -> script.Script[None]:
         """Let `seconds` pass; `reads`: readings made during the wait count for the contact current."""
         end = self.time + seconds
         while self.time < end:
-            yield Wait(end, reads)
+            yield script.Wait(end, reads)
 
-    def until(self, condition: Callable[[], bool], seconds: float) -> Script[bool]:
+    def until(self, condition: Callable[[], bool], seconds: float) -> script.Script[bool]:
         """Wait until a condition holds, at most so many seconds; return whether it does."""
         end = self.time + seconds
         while not condition():
             if self.time > end:
                 return False
-            yield NEXT
+            yield script.NEXT
         return True
 
-    def ask(self, service: Service, error: type[DockingError], timeout: float, frames: int = 0) -> Script[Reply]:
+    def ask(
+        self, service: Service, error: type[codes.DockingError], timeout: float, frames: int = 0
+    ) -> script.Script[Reply]:
         """Call a service and return its reply, successful or not.
 
         Raises:
@@ -354,10 +350,10 @@ class Context:
             while (reply := self._calls.take(number)) is None:
                 if self.time > end:
                     raise error(f"no answer from {service.value} within {timeout:.1f} s; is its node running?")
-                yield Wait(end)
+                yield script.Wait(end)
         return reply
 
-    def torque_on(self) -> Script[None]:
+    def torque_on(self) -> script.Script[None]:
         """Enable the servos at their present position.
 
         Raises:
@@ -379,7 +375,7 @@ class Context:
         if request.service not in _QUERIES:
             self._orders[request.number] = request.service, self.time
 
-    def answered(self) -> Script[None]:
+    def answered(self) -> script.Script[None]:
         """Wait until all orders of earlier goals are answered and servo_state shows it; none falls into this goal.
 
         After SERVICE_TIMEOUT a missing answer was lost with its node.
@@ -417,7 +413,7 @@ class Context:
         if self._line is None or not self.feed.is_under_way(self.time):
             return self.commanded
         start, goal, _ = self._line
-        return between(start, goal, way_done(self.feed.share(self.time)))
+        return trajectory_feed.between(start, goal, way_done(self.feed.share(self.time)))
 
     @property
     def beside(self) -> float:
@@ -428,7 +424,7 @@ class Context:
         way = [b - a for a, b in zip(start, goal, strict=True)]
         length = sum(part * part for part in way) or 1.0
         done = sum(part * (p - a) for part, p, a in zip(way, self.position, start, strict=True)) / length
-        x, y, _ = between(start, goal, min(max(done, 0.0), 1.0))
+        x, y, _ = trajectory_feed.between(start, goal, min(max(done, 0.0), 1.0))
         return math.hypot(self.position[0] - x, self.position[1] - y)
 
     def pull(self, goal: Vector, bound: Vector, rest: Vector | None = None) -> None:
@@ -442,7 +438,7 @@ class Context:
         wanted = (angle + torque / stiffness for angle, torque in zip(place, held, strict=True))
         a, b, c = (min(max(angle, geometry.joint_min), geometry.joint_max) for angle in wanted)
         self.feed.stop()
-        self._override, self.goal_angles = pull(goal, bound, (a, b, c), self.planner.bound(held)), goal
+        self._override, self.goal_angles = trajectory_feed.pull(goal, bound, (a, b, c), self.planner.bound(held)), goal
 
     def hold(self) -> None:
         """Stop where the arm is."""
@@ -450,7 +446,7 @@ class Context:
         self.feed.stop()
         self.commanded, self.goal_angles = self.position, NAN3
 
-    def follow(self, line: Piece, retreats: bool = False) -> None:
+    def follow(self, line: trajectory_feed.Piece, retreats: bool = False) -> None:
         """Begin a line; `retreats` = it leads away from the target."""
         self._retreats, self._override = retreats, None  # it begins even in the tick of a hold
         self.feed.start(line, self.time)
@@ -463,7 +459,7 @@ class Context:
         settle: bool = True,
         until: Callable[[], bool] | None = None,
         spare: Callable[[], float] | None = None,
-    ) -> Script[bool]:
+    ) -> script.Script[bool]:
         """Move on a straight line from the last commanded position to `goal` (m, charger_base); pause while `is_blind`.
 
         Args:
@@ -486,21 +482,21 @@ class Context:
         self.commanded = goal
         while self.feed.is_under_way(self.time):
             if until is not None and until():
-                self.commanded = between(start, goal, way_done(self.feed.share(self.time)))
+                self.commanded = trajectory_feed.between(start, goal, way_done(self.feed.share(self.time)))
                 self._override, self.goal_angles = self.feed.hold(self.time), NAN3
                 self.feed.stop()
                 return True
             if until is None:
-                yield Wait(self.feed.end)
+                yield script.Wait(self.feed.end)
             elif spare is None:
-                yield Wait(self.feed.end, reads=True, nearing=speed)
+                yield script.Wait(self.feed.end, reads=True, nearing=speed)
             else:
-                yield Wait(min(self.feed.end, self.time + spare()), reads=True)
+                yield script.Wait(min(self.feed.end, self.time + spare()), reads=True)
         if settle:
             yield from self.rest()
         return False
 
-    def read(self) -> Script[None]:
+    def read(self) -> script.Script[None]:
         """Refill the contact current's window; if the arm hardly moves, also estimate the servos' springs."""
         before, began = self.observation.angles, self.time
         self.contact.clear()
@@ -510,7 +506,9 @@ class Context:
         live = math.isfinite(self.goal_angles[0]) and not self.contact.repeats_itself
         if slow and live and not self.is_bound(self.contact.currents):
             a, b, c = ((now - then) / span for now, then in zip(after, before, strict=True))
-            self.springs.add_reading(self.goal_angles, between(before, after, 0.5), (a, b, c), self.contact.currents)
+            self.springs.add_reading(
+                self.goal_angles, trajectory_feed.between(before, after, 0.5), (a, b, c), self.contact.currents
+            )
             self.feed.lag = self.springs.lag
 
     def is_bound(self, currents: Vector) -> bool:
@@ -548,7 +546,7 @@ class Context:
         if self.contact.changed <= since:
             raise codes.Astray("servo_state repeats one reading, so nothing shows where the arm is; restart servo_node")
 
-    def rest(self) -> Script[None]:
+    def rest(self) -> script.Script[None]:
         """Wait until the servos have settled and the contact current's window holds only readings at rest.
 
         Electrodes in contact settle sooner than the arm in free air. While the current drifts, the wait continues.

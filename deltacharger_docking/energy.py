@@ -1,17 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Energising: probe the target, close the contactor, and open it again."""
 
-from __future__ import annotations
-
 import math
 
-from deltacharger_core.machine import ChargeLimits, Port, port_of
-from deltacharger_core.script import NEXT, Script, Wait
-from deltacharger_docking import codes, watch
-from deltacharger_docking.clearance import LEAN_SIGMAS
-from deltacharger_docking.codes import State
+from deltacharger_core import machine, script
+from deltacharger_docking import clearance, codes, observation, watch
 from deltacharger_docking.context import Context, Live
-from deltacharger_docking.observation import Reply, Service
 from deltacharger_docking.parameters import TargetProfile
 
 OPEN_TIMEOUT = 1.0  # s, limit for current to stop after an order to open
@@ -27,7 +21,9 @@ _STEP = 0.5  # V that a stage which only steps down needs between battery and ta
 _LATER = 1.0, 0.3  # s by which the board waits longer for current than docking, at the start and in a gap
 
 
-def wait_for_single_sources(context: Context, begun: float, state: State = State.MEASURE) -> Script[None]:
+def wait_for_single_sources(
+    context: Context, begun: float, state: codes.State = codes.State.MEASURE
+) -> script.Script[None]:
     """Wait until each topic and service that docking uses has only one source.
 
     Args:
@@ -46,7 +42,7 @@ def wait_for_single_sources(context: Context, begun: float, state: State = State
         while (late := context.time - begun > limit) or context.observation.duplicate_sources:
             if late:
                 raise watch.duplicate(context.doubtful)
-            yield NEXT
+            yield script.NEXT
 
 
 def check_battery(context: Context) -> None:
@@ -62,7 +58,7 @@ def check_battery(context: Context) -> None:
         raise unfit
 
 
-def energise(context: Context) -> Script[bool]:
+def energise(context: Context) -> script.Script[bool]:
     """Probe, close the contactor and wait until charge current has been stable.
 
     Returns:
@@ -74,17 +70,17 @@ def energise(context: Context) -> Script[bool]:
     """
     parameters, profile = context.parameters, context.profile
     assert profile is not None  # a goal that charges has one
-    context.enter(State.ENERGISE, math.inf)  # each of its steps has its limit
+    context.enter(codes.State.ENERGISE, math.inf)  # each of its steps has its limit
     if context.observation.power_fault not in (0, watch.WELD):
         yield from _clear_fault(context)
-    reply = yield from context.ask(Service.PROBE, codes.PowerStale, _PROBE_TIMEOUT)
+    reply = yield from context.ask(observation.Service.PROBE, codes.PowerStale, _PROBE_TIMEOUT)
     context.decide(
         "probe",
         f"the probe {'answered' if reply.success else 'failed: ' + reply.message}",
         resistance_ohm=reply.resistance,
         target_voltage_V=reply.target_voltage,
     )
-    port = port_of(reply.resistance, reply.target_voltage)
+    port = machine.port_of(reply.resistance, reply.target_voltage)
     if context.doubt or context.doubtful:
         return False
     if not reply.success:
@@ -95,9 +91,9 @@ def energise(context: Context) -> Script[bool]:
     context.decide("close", "all checks passed: the contactor is ordered to close")
     context.energise = context.live = True
     context.opened = False
-    context.closing = Live(context.time, reply.target_voltage if port is Port.LIVE else math.nan)
+    context.closing = Live(context.time, reply.target_voltage if port is machine.Port.LIVE else math.nan)
     later, gap = profile.start_time + _LATER[0], profile.gap_time + _LATER[1]
-    context.limits = ChargeLimits(profile.current, profile.full_voltage, profile.port == "dead", later, gap)
+    context.limits = machine.ChargeLimits(profile.current, profile.full_voltage, profile.port == "dead", later, gap)
     with context.waiting_for(f"{parameters.charge_stable_time:g} s of charge current"):
         yield from _current_flows(context, profile)
     context.decide(
@@ -109,7 +105,7 @@ def energise(context: Context) -> Script[bool]:
     return True
 
 
-def _current_flows(context: Context, profile: TargetProfile) -> Script[None]:
+def _current_flows(context: Context, profile: TargetProfile) -> script.Script[None]:
     """Wait until at least `least_current` has flowed for `charge_stable_time`, without a gap beyond `gap_time`.
 
     Raises:
@@ -132,23 +128,23 @@ def _current_flows(context: Context, profile: TargetProfile) -> Script[None]:
                     f"{found} {profile.start_time:g} s after closing: the target has not connected, or is full; check "
                     f"its input, and start_time and least_current of profile {context.profile_name}"
                 )
-        yield Wait(since + stable, reads=True) if since < math.inf else NEXT
+        yield script.Wait(since + stable, reads=True) if since < math.inf else script.NEXT
 
 
-def _clear_fault(context: Context) -> Script[None]:
+def _clear_fault(context: Context) -> script.Script[None]:
     """Open once to clear a fault that was latched before this docking; if it returns, docking ends."""
-    yield from context.ask(Service.OPEN, codes.PowerStale, _PROBE_TIMEOUT)
+    yield from context.ask(observation.Service.OPEN, codes.PowerStale, _PROBE_TIMEOUT)
     yield from context.until(lambda: not context.observation.power_fault, OPEN_TIMEOUT)
 
 
-def prove_dead(context: Context) -> Script[None]:
+def prove_dead(context: Context) -> script.Script[None]:
     """Let a voltage of electrodes in free air fade, or prove that the contactor is welded, which ends the goal."""
     end = context.time + watch.FADED + watch.SURE + _LAST_WORD
     while context.time < end and context.is_free and context.observation.target_voltage > watch.DEAD:
-        yield NEXT
+        yield script.NEXT
 
 
-def de_energise(context: Context) -> Script[None]:
+def de_energise(context: Context) -> script.Script[None]:
     """Open the contactor and confirm that no current flows.
 
     Raises:
@@ -165,37 +161,37 @@ def de_energise(context: Context) -> Script[None]:
     while watch.is_closed(context) or not context.time - context.observation.power_age >= begun + _OPENING_TIME:
         if context.time > begun + OPEN_TIMEOUT:
             raise watch.welded(context)
-        yield NEXT
+        yield script.NEXT
     current = context.observation.charge_current
     context.decide("opened", "no current flows", charge_current_A=current, time_s=context.time - begun)
     context.live, context.opened = False, True
 
 
-def _await_cause(context: Context) -> Script[None]:
+def _await_cause(context: Context) -> script.Script[None]:
     """Raise the servos' problem if one shows: servo_node opens the contactor if a servo fails, which ends a probe."""
     end = context.time + _CAUSE
     while context.time < end:
         if (problem := watch.unfit_servos(context)) is not None:
             raise problem
-        yield NEXT
+        yield script.NEXT
 
 
-def _check_probe(context: Context, profile: TargetProfile, port: Port, reply: Reply) -> None:
+def _check_probe(context: Context, profile: TargetProfile, port: machine.Port, reply: observation.Reply) -> None:
     """Refuse to close on what lies at the electrodes, unless the profile expects it.
 
     Raises:
         DockingError: with the code of the finding.
     """
     name, voltage, seen = context.profile_name, reply.target_voltage, context.observation
-    if not reply.success or port is Port.UNKNOWN:
+    if not reply.success or port is machine.Port.UNKNOWN:
         raise codes.PowerStale(f"the probe failed: {reply.message or 'it measured nothing; check its wiring'}")
-    if port is Port.SHORT:
+    if port is machine.Port.SHORT:
         raise codes.ShortCircuit(
             f"the probe found {reply.resistance:.2f} Ω between the electrodes; clean or realign them"
         )
-    if port is Port.REVERSED:
+    if port is machine.Port.REVERSED:
         raise codes.ReversePolarity(f"the target has {voltage:.1f} V: its electrodes are swapped")
-    if port is Port.LIVE and voltage >= watch.DEAD:  # less is a capacitor that an earlier probe has charged
+    if port is machine.Port.LIVE and voltage >= watch.DEAD:  # less is a capacitor that an earlier probe has charged
         if not profile.empty_voltage <= voltage <= profile.full_voltage:
             allowed = f"{profile.empty_voltage:.1f} to {profile.full_voltage:.1f} V"
             raise codes.VoltageOutOfRange(
@@ -206,12 +202,16 @@ def _check_probe(context: Context, profile: TargetProfile, port: Port, reply: Re
             raise codes.VoltageOutOfRange(f"{told}, and its power stage only steps down: charge that battery")
     elif profile.port == "live":
         pitch = context.electrodes
-        if port is Port.OPEN and pitch and abs(pitch.pitch) > LEAN_SIGMAS * pitch.pitch_stddev:
+        if port is machine.Port.OPEN and pitch and abs(pitch.pitch) > clearance.LEAN_SIGMAS * pitch.pitch_stddev:
             raise codes.Leaning(
                 f"no current flows into the port; the electrodes' faces are pitched by "
                 f"{math.degrees(pitch.pitch):+.1f}° about x of charger_base, so one bar does not press: level "
                 "the target or the charger"
             )
-        dirt = "" if port is Port.DEAD else ", or clean the electrodes and check that no pitch of the faces lifts a bar"
+        dirt = (
+            ""
+            if port is machine.Port.DEAD
+            else ", or clean the electrodes and check that no pitch of the faces lifts a bar"
+        )
         told = f"the port has no voltage ({reply.resistance:.3g} Ω), but profile {name} says it is live"
         raise codes.NoChargeCurrent(f"{told}: wake the target, or set port: dead in the profile{dirt}")

@@ -5,8 +5,6 @@
 it at the rate of servo_state and executes the commands.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -14,21 +12,11 @@ from types import MappingProxyType
 from typing import Any
 
 from deltacharger_core.script import NEXT, Runner, Script
-from deltacharger_docking import codes
-from deltacharger_docking.algorithm import align, dock
+from deltacharger_docking import algorithm, charging, clearance, codes, contact, energy, goals, release, touch, watch
 from deltacharger_docking.arm import Planner
-from deltacharger_docking.charging import Order, charge, clearance_checks
-from deltacharger_docking.clearance import judge, limit_of
-from deltacharger_docking.codes import Code, DockingError, State
-from deltacharger_docking.contact import CONTACT_LOST_CURRENT
 from deltacharger_docking.context import Context, Live
-from deltacharger_docking.energy import de_energise, energise, wait_for_single_sources
-from deltacharger_docking.goals import check_change, check_goal, check_id, suggested_base
 from deltacharger_docking.observation import Command, DockGoal, DockingOutcome, DockingStatus, Observation
 from deltacharger_docking.parameters import DockingParameters, TargetProfile
-from deltacharger_docking.release import go_limp, retract
-from deltacharger_docking.touch import Target
-from deltacharger_docking.watch import Watches, is_closed
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.trajectory_feed import TrajectoryFeed
 
@@ -67,12 +55,12 @@ class DockingMachine:
         self.is_open = self._cancel_requested = False
         self._deadline = math.inf  # of the goal, s
         self.outcome: DockingOutcome | None = None
-        self._watches = Watches(self._context)
+        self._watches = watch.Watches(self._context)
         self._runner = Runner()
         self._interruptible = self._halted = False  # halted: no look ends what makes the arm safe
         self._docking: TargetVisit | None = None
-        self._refusal: DockingError | None = None  # that ends the goal after another goal arrived
-        self._failure: DockingError | None = None  # the first error of the goal
+        self._refusal: codes.DockingError | None = None  # that ends the goal after another goal arrived
+        self._failure: codes.DockingError | None = None  # the first error of the goal
 
     @property
     def parameters(self) -> DockingParameters:
@@ -115,13 +103,13 @@ class DockingMachine:
             Rejected: it cannot be served.
             Unreachable: the electrodes lie outside the workspace.
         """
-        check_goal(goal, self._context.planner, self.parameters, self._context.profiles)
+        goals.check_goal(goal, self._context.planner, self.parameters, self._context.profiles)
 
     def start_dock(self, goal: DockGoal, observation: Observation) -> None:
         """Begin to dock; if already docked, do what the goal still needs. Raises as `check` and `check_free`."""
         self.check(goal)
         self.check_free()
-        check_change(goal, self._context)
+        goals.check_change(goal, self._context)
         if not self._context.status.charging:
             self._context.choose_profile(goal.target_profile)
         self._open(goal.request_id, observation)
@@ -139,7 +127,7 @@ class DockingMachine:
             Busy: another goal is being served, or the arm is on its way back already.
             Rejected: the request_id is too long.
         """
-        check_id(request_id)
+        goals.check_id(request_id)
         if self.is_open or (self._runner.is_running and not self._interruptible):
             raise codes.Busy(self._activity())
         self._begin(_undock, observation, request_id)
@@ -184,7 +172,7 @@ class DockingMachine:
             self._docking, self._interruptible = None, False
         return context.command()
 
-    def emergency(self, error: DockingError | None = None) -> Command:
+    def emergency(self, error: codes.DockingError | None = None) -> Command:
         """Return the command that makes everything safe at once, for a shell that must end.
 
         The goal is forgotten. If it is to end with `error`, further steps count its energy and time, until `end`.
@@ -198,7 +186,7 @@ class DockingMachine:
                 self._report(error)
         self._context.energise, self._context.closing = False, None
         self._context.status.charging = False
-        self._context.enter(State.IDLE, math.inf)
+        self._context.enter(codes.State.IDLE, math.inf)
         if self._context.observation.torque_enabled:
             self._context.hold()
         else:
@@ -221,18 +209,18 @@ class DockingMachine:
         context.charge_end = ""
         context.deadline = math.inf
         context.status.request_id = request_id
-        context.status.code, context.status.message = Code.NONE, ""
+        context.status.code, context.status.message = codes.Code.NONE, ""
 
     def succeed(self, message: str, notice: str = "") -> None:
         """End the goal with success, if there is one; `notice` is further information for its client."""
-        self._close(self._outcome(Code.NONE, message), notice=notice, success=True, aligned=self.status.aligned)
+        self._close(self._outcome(codes.Code.NONE, message), notice=notice, success=True, aligned=self.status.aligned)
 
-    def _fail(self, error: DockingError) -> None:
+    def _fail(self, error: codes.DockingError) -> None:
         """End the goal with the code of `error` and the message of the status, if there is one."""
         outcome = self._outcome(error.code, self.status.message)
-        self._close(outcome, retriable=error.retriable, suggested_base=suggested_base(error))
+        self._close(outcome, retriable=error.retriable, suggested_base=goals.suggested_base(error))
 
-    def _outcome(self, code: Code, message: str) -> DockingOutcome:
+    def _outcome(self, code: codes.Code, message: str) -> DockingOutcome:
         context, status = self._context, self._context.status
         least, most = context.springs.true_force(context.contact.force)
         return DockingOutcome(
@@ -265,7 +253,7 @@ class DockingMachine:
 
         def run() -> Script[None]:
             text = yield from script(self._context)
-            self._context.enter(State.IDLE, math.inf)
+            self._context.enter(codes.State.IDLE, math.inf)
             self.succeed(text)
 
         self._open(request_id, observation)
@@ -283,10 +271,10 @@ class DockingMachine:
         text = "electrodes as given" if place else "the camera will locate the electrodes"
         text += f"; profile {self._context.profile_name}" if self._context.profile else ""
         options = {"stop_energy_J": goal.stop_energy, "stop_after_s": goal.stop_after, "hold": float(goal.hold)}
-        limit = limit_of(self.parameters, goal.critical_angle or None)
+        limit = clearance.limit_of(self.parameters, goal.critical_angle or None)
         self._context.decide("accepted", text, **place, critical_angle_rad=limit, **options)
 
-    def _problem(self) -> DockingError | None:
+    def _problem(self) -> codes.DockingError | None:
         """Return the reason to interrupt the script now, if any."""
         context = self._context
         if self._interruptible:
@@ -305,11 +293,11 @@ class DockingMachine:
     def _serve(self, script: Callable[[], Script[None]]) -> Script[None]:
         """Run a goal's script. However it ends, open the contactor and retract the arm; keep the first error."""
         context, self._failure = self._context, None
-        self._interruptible, self._halted, self._watches = True, False, Watches(context)
+        self._interruptible, self._halted, self._watches = True, False, watch.Watches(context)
         try:
             yield from script()
             return
-        except DockingError as error:
+        except codes.DockingError as error:
             last = error
             if context.status.charging:
                 context.end_charge(error.code.name)
@@ -320,10 +308,10 @@ class DockingMachine:
             yield from self._retract(last)
         except codes.ContactorWelded as error:  # whatever ended the goal, a person must come
             self._failure = last = error
-        context.enter(State.IDLE, math.inf)
+        context.enter(codes.State.IDLE, math.inf)
         self._fail(last)
 
-    def _report(self, error: DockingError) -> None:
+    def _report(self, error: codes.DockingError) -> None:
         """Keep and report why the goal has failed."""
         self._failure, status = error, self._context.status
         status.code, status.message = error.code, str(error)
@@ -332,7 +320,7 @@ class DockingMachine:
             status.message = f"{status.message}; {problem}"
         self._context.decide("interrupted", f"{error.code.name}: {error}", code=error.code)
 
-    def _retract(self, why: DockingError) -> Script[None]:
+    def _retract(self, why: codes.DockingError) -> Script[None]:
         """Open the contactor, move the arm home and switch the torque off."""
         context, status = self._context, self._context.status
         if context.feed.is_under_way(context.time):
@@ -340,28 +328,28 @@ class DockingMachine:
         try:
             if isinstance(why, codes.Astray):
                 context.hold()
-                context.enter(State.RETRACT, math.inf)
-                yield from de_energise(context)
-                yield from go_limp(context)
+                context.enter(codes.State.RETRACT, math.inf)
+                yield from energy.de_energise(context)
+                yield from release.go_limp(context)
             else:
-                yield from retract(context)
+                yield from release.retract(context)
         except codes.ContactorWelded as error:
-            seen_closed = is_closed(context) and context.observation.power_age <= self.parameters.age_max
-            if status.code is not Code.CONTACTOR_WELDED:
+            seen_closed = watch.is_closed(context) and context.observation.power_age <= self.parameters.age_max
+            if status.code is not codes.Code.CONTACTOR_WELDED:
                 status.message = f"{status.message}; then {error}"
             context.hold()  # moving live electrodes off the target would draw an arc
             self._halted = True
             if context.is_free:
-                yield from go_limp(context)
+                yield from release.go_limp(context)
             if seen_closed:
                 status.code = error.code
                 raise
-        except DockingError as error:
+        except codes.DockingError as error:
             status.message = f"{status.message}; then {error}"
             held = status.docked or context.observation.tactile_contact
             status.docked = held and isinstance(error, codes.Stuck)  # the magnets still hold it
             context.deadline, self._halted = math.inf, True
-            yield from go_limp(context)
+            yield from release.go_limp(context)
         finally:
             status.charging = False
 
@@ -377,14 +365,14 @@ class TargetVisit:
         self._context = context
         self._machine = machine
         self._goal = goal  # the first one
-        limit = limit_of(context.parameters, goal.critical_angle or None)
-        self._order = Order(goal, limit, context.started)
-        self._target = Target(context, limit)
+        limit = clearance.limit_of(context.parameters, goal.critical_angle or None)
+        self._order = charging.Order(goal, limit, context.started)
+        self._target = touch.Target(context, limit)
         self._is_new = False  # a further goal has not been handled yet
         self._doubts = 0  # measurements that did not last
         self.supervising = False
 
-    def take(self, goal: DockGoal) -> DockingError | None:
+    def take(self, goal: DockGoal) -> codes.DockingError | None:
         """Accept a further goal; return why it ends the visit, if it does.
 
         The lowest critical angle of all goals on this target applies, and supervision continues.
@@ -395,7 +383,7 @@ class TargetVisit:
             order.critical_angle = goal.critical_angle
             live = context.status.charging or parameters.always_live
             known = context.status.estimate if live else None
-            if known and known.usable and not judge(known, parameters, goal.critical_angle).leaves_clearance:
+            if known and known.usable and not clearance.judge(known, parameters, goal.critical_angle).leaves_clearance:
                 return codes.CriticalAngle("the goal's critical_angle is below what was measured on this target")
         if parameters.always_live:
             if not goal.hold:
@@ -432,13 +420,13 @@ class TargetVisit:
         context = self._context
         context.status.aligned, context.status.estimate = False, None
         context.status.alignments = context.status.redockings = self._doubts = 0
-        self._target = Target(context, self._order.critical_angle)
-        yield from dock(context, self._target, self._goal.electrodes, self._order.goal.start_charging)
+        self._target = touch.Target(context, self._order.critical_angle)
+        yield from algorithm.dock(context, self._target, self._goal.electrodes, self._order.goal.start_charging)
 
     def _renew_contact(self) -> Script[None]:
         """Measure again where the electrodes rest; dock again only if contact is no longer good."""
         context = self._context
-        value, least = context.contact.value, CONTACT_LOST_CURRENT
+        value, least = context.contact.value, contact.CONTACT_LOST_CURRENT
         if not (context.observation.tactile_contact and value >= least):
             yield from self._dock()
             return
@@ -449,23 +437,23 @@ class TargetVisit:
         target = self._target
         self._context.status.alignments = self._context.status.redockings = 0
         target.critical_angle = self._order.critical_angle
-        yield from align(self._context, target, stay=True)
+        yield from algorithm.align(self._context, target, stay=True)
 
     def _charge(self) -> Script[None]:
         """Close the contactor, report success or hold the goal, supervise charging, and open it."""
         context = self._context
         begun, context.charge_end = context.time, ""
         yield from self._measure_until_sure(begun)
-        while not (yield from energise(context)):
+        while not (yield from energy.energise(context)):
             yield from self._measure_until_sure(begun)
         context.status.charging = True
-        context.enter(State.CHARGING, math.inf)
+        context.enter(codes.State.CHARGING, math.inf)
         if not self._order.goal.hold:
             self._machine.succeed("charging")
         self.supervising = True
         self._order.since = context.time
-        reason = yield from charge(context, self._order, self._target)
-        yield from de_energise(context)
+        reason = yield from charging.charge(context, self._order, self._target)
+        yield from energy.de_energise(context)
         if not self._is_new:
             self._machine.succeed(reason)
 
@@ -479,7 +467,7 @@ class TargetVisit:
         context = self._context
         while context.doubtful or context.doubt:
             if context.doubtful:
-                yield from wait_for_single_sources(context, begun)
+                yield from energy.wait_for_single_sources(context, begun)
             else:
                 self._doubts += 1
                 context.decide("doubt", context.doubt, times=self._doubts)
@@ -496,7 +484,7 @@ class TargetVisit:
         """
         context, order = self._context, self._order
         yield from self._measure_until_sure(context.time)
-        context.enter(State.IDLE, math.inf)
+        context.enter(codes.State.IDLE, math.inf)
         if not order.goal.hold:
             self._machine.succeed(_DOCKED, _DOCKED)
         self.supervising, order.since = True, context.time
@@ -508,13 +496,13 @@ class TargetVisit:
     def _stay(self) -> Script[bool]:
         """Stay docked without current; return whether a goal follows, not a torque that went off or `hold_max`."""
         context, order = self._context, self._order
-        context.enter(State.IDLE, math.inf)
+        context.enter(codes.State.IDLE, math.inf)
         while not self._is_new:
             if not context.observation.torque_enabled:
                 if self._machine.is_open:
                     raise codes.ServoFailure("the servos lost their torque while docked; see servo_node's diagnostics")
                 return False
-            if context.contact.value < CONTACT_LOST_CURRENT:
+            if context.contact.value < contact.CONTACT_LOST_CURRENT:
                 raise codes.NoContact("contact was lost after docking; the target moved")
             _, reason = order.met(context)
             if self._machine.is_open and reason:
@@ -528,13 +516,13 @@ class TargetVisit:
         return True
 
 
-def _watch(context: Context, order: Order, target: Target) -> Script[str]:
+def _watch(context: Context, order: charging.Order, target: touch.Target) -> Script[str]:
     """Monitor docked electrodes as is done while charging, until a stop condition is met; return that condition.
 
     Raises:
         DockingError: the problem; the caller retracts.
     """
-    checks, context.closing = clearance_checks(context, order, target), Live(context.time)
+    checks, context.closing = charging.clearance_checks(context, order, target), Live(context.time)
     while True:
         if reason := order.met(context)[1]:
             context.decide("stop", reason, time_s=context.time - order.since)
@@ -544,12 +532,12 @@ def _watch(context: Context, order: Order, target: Target) -> Script[str]:
 
 def _part(context: Context) -> Script[None]:
     """Retract: the only way to end the current."""
-    yield from retract(context, wanted=True)
+    yield from release.retract(context, wanted=True)
     context.status.docked = False
-    context.enter(State.IDLE, math.inf)
+    context.enter(codes.State.IDLE, math.inf)
 
 
 def _undock(context: Context) -> Script[str]:
-    yield from retract(context, wanted=True)
+    yield from release.retract(context, wanted=True)
     context.status.docked = False
     return "undocked"

@@ -8,20 +8,16 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import TypeVar
 
-from deltacharger_core.arrays import Array
-from deltacharger_core.machine import DOCK_DISTANCE, ChargeLimits
-from deltacharger_core.script import NEXT, Wait
-from deltacharger_docking.clearance import MisalignmentEstimate
-from deltacharger_docking.codes import Code, DockingError, ServoFailure, ServoStale, State
-from deltacharger_kinematics.geometry import Vector
-from deltacharger_kinematics.trajectory_feed import Waypoint
+from deltacharger_core import arrays, machine, script
+from deltacharger_docking import clearance, codes
+from deltacharger_kinematics import geometry, trajectory_feed
 
 T = TypeVar("T", bound="GoalOutcome")
 
-NAN3: Vector = (math.nan, math.nan, math.nan)
+NAN3: geometry.Vector = (math.nan, math.nan, math.nan)
 _STALL_MAX = 1.0  # s for which a stall of the computer may silence all servos
 
-Reading = tuple[float, Vector, Vector]
+Reading = tuple[float, geometry.Vector, geometry.Vector]
 """Reading of the servos: time (s), angles (rad), currents (A)."""
 
 
@@ -55,7 +51,7 @@ class ElectrodePose:
     standard deviations; NaN = unknown. `image_range`: m from the camera if it had no depth, else 0.
     """
 
-    position: Vector
+    position: geometry.Vector
     roll: float
     roll_stddev: float = 0.0
     age: float = 0.0
@@ -88,7 +84,7 @@ class BasePose:
     yaw: float = 0.0
 
     @classmethod
-    def before(cls, electrodes: Vector, yaw: float = 0.0) -> BasePose:
+    def before(cls, electrodes: geometry.Vector, yaw: float = 0.0) -> BasePose:
         """Return the pose that faces electrodes (m) squarely: they are then at (0, 0, DOCK_DISTANCE), without yaw.
 
         Args:
@@ -96,12 +92,12 @@ class BasePose:
             yaw: rotation of their faces about +y, rad.
         """
         x, y, z = electrodes
-        return cls(x - DOCK_DISTANCE * math.sin(yaw), y, z - DOCK_DISTANCE * math.cos(yaw), yaw)
+        return cls(x - machine.DOCK_DISTANCE * math.sin(yaw), y, z - machine.DOCK_DISTANCE * math.cos(yaw), yaw)
 
     @property
-    def electrodes(self) -> Vector:
+    def electrodes(self) -> geometry.Vector:
         """The electrodes (m, the present charger_base) that this pose faces."""
-        x, z = self.x + DOCK_DISTANCE * math.sin(self.yaw), self.z + DOCK_DISTANCE * math.cos(self.yaw)
+        x, z = self.x + machine.DOCK_DISTANCE * math.sin(self.yaw), self.z + machine.DOCK_DISTANCE * math.cos(self.yaw)
         return x, self.y, z
 
 
@@ -115,7 +111,7 @@ class Reply:
     number: int
     success: bool
     message: str = ""
-    estimate: MisalignmentEstimate | None = None
+    estimate: clearance.MisalignmentEstimate | None = None
     sequences: tuple[int, ...] = ()
     asked: float = -math.inf
     detection: ElectrodePose | None = None
@@ -135,8 +131,8 @@ class Observation:
     """
 
     time: float
-    angles: Vector = NAN3
-    currents: Vector = NAN3
+    angles: geometry.Vector = NAN3
+    currents: geometry.Vector = NAN3
     servo_age: float = math.inf
     servos_valid: bool = False
     servos_mute: bool = False
@@ -161,25 +157,27 @@ class Observation:
     earlier: tuple[Reading, ...] = ()
     clock_problem: str = ""
     stopped: str = ""
-    taxels: Array | None = None
+    taxels: arrays.Array | None = None
 
     @property
     def oldest(self) -> float:
         """Age (s) of servo_state or of the tactile frames, whichever are older."""
         return max(self.servo_age, self.tactile_age)
 
-    def servo_silence(self) -> DockingError:
+    def servo_silence(self) -> codes.DockingError:
         """Return the error of servo data that are too old: they come late, or a servo does not answer.
 
         All servos at once fall silent also where the computer or a USB adapter stalls, but not for long.
         """
         if self.servos_valid or self.servo_age == math.inf:
-            return ServoStale(f"servo_state is {self.servo_age:.1f} s old; check servo_node and this computer's load")
+            return codes.ServoStale(
+                f"servo_state is {self.servo_age:.1f} s old; check servo_node and this computer's load"
+            )
         who = "no servo has" if self.servos_mute else "a servo has not"
         silence = f"{who} answered for {self.servo_age:.1f} s; check the servo bus and its power"
         if self.servos_mute and self.servo_age < _STALL_MAX:
-            return ServoStale(f"{silence}, and this computer's load")
-        return ServoFailure(silence)
+            return codes.ServoStale(f"{silence}, and this computer's load")
+        return codes.ServoFailure(silence)
 
 
 @dataclass(frozen=True)
@@ -188,7 +186,7 @@ class Decision:
     whose names end in the unit."""
 
     time: float
-    state: State
+    state: codes.State
     kind: str
     text: str
     values: tuple[tuple[str, float], ...] = ()
@@ -205,12 +203,12 @@ class Command:
     wait needs readings.
     """
 
-    trajectory: tuple[Waypoint, ...] | None = None
+    trajectory: tuple[trajectory_feed.Waypoint, ...] | None = None
     requests: tuple[Request, ...] = ()
     energise: bool = False
-    limits: ChargeLimits | None = None
+    limits: machine.ChargeLimits | None = None
     decisions: tuple[Decision, ...] = ()
-    waits: Wait = NEXT
+    waits: script.Wait = script.NEXT
 
 
 @dataclass(frozen=True)
@@ -232,7 +230,7 @@ class GoalOutcome:
     """Result of a goal, after `elapsed` s; `notice` is further information for the client after success."""
 
     success: bool = False
-    code: Code = Code.INTERNAL
+    code: codes.Code = codes.Code.INTERNAL
     message: str = ""
     retriable: bool = False
     elapsed: float = 0.0
@@ -241,12 +239,12 @@ class GoalOutcome:
     @property
     def canceled(self) -> bool:
         """Whether its client cancelled it."""
-        return self.code is Code.CANCELED
+        return self.code is codes.Code.CANCELED
 
     @classmethod
     def refused(cls: type[T], error: Exception) -> T:
         """Return the result of a goal that `error` prevented; other classes than DockingError are defects."""
-        if not isinstance(error, DockingError):
+        if not isinstance(error, codes.DockingError):
             return cls(message=f"internal error: {error}; see the log")
         return cls(code=error.code, message=str(error), retriable=error.retriable)
 
@@ -261,7 +259,7 @@ class DockingOutcome(GoalOutcome):
 
     aligned: bool = False
     alignments: int = 0
-    estimate: MisalignmentEstimate | None = None
+    estimate: clearance.MisalignmentEstimate | None = None
     contact_current: float = math.nan
     contact_force: float = math.nan
     charge_current: float = math.nan
@@ -281,17 +279,17 @@ class DockingStatus:
     `aligned`: this contact has clearance, no gain is expected from another, and the risk is at most 2 %.
     """
 
-    state: State = State.IDLE
+    state: codes.State = codes.State.IDLE
     docked: bool = False
     charging: bool = False
-    code: Code = Code.NONE
+    code: codes.Code = codes.Code.NONE
     message: str = ""
     request_id: str = ""
     aligned: bool = False
     alignments: int = 0
-    position: Vector = NAN3
+    position: geometry.Vector = NAN3
     contact_current: float = math.nan
-    estimate: MisalignmentEstimate | None = None
+    estimate: clearance.MisalignmentEstimate | None = None
     elapsed: float = 0.0
     duplicate_sources: str = ""
     redockings: int = 0

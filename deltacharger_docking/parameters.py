@@ -7,19 +7,9 @@ import math
 import re
 from dataclasses import dataclass
 
-from deltacharger_core.machine import (
-    BAR_GAP,
-    BAR_LENGTH,
-    BATTERY_MAX,
-    BATTERY_MIN,
-    GRAVITY,
-    LONGEST_LEASE,
-    MAGNET_FORCE,
-    SERVO_STIFFNESS,
-    TORQUE_CONSTANT,
-)
-from deltacharger_core.parameters import Bounded, ParameterError, choice, number, numbers, pose, tunable, words
-from deltacharger_core.servo_types import MX_64, STIFFNESS_MAX, STIFFNESS_MIN, TYPES, ServoType, contact_band
+from deltacharger_core import machine, parameters, servo_types
+from deltacharger_core.machine import LONGEST_LEASE
+from deltacharger_core.parameters import choice, number, numbers, tunable, words
 from deltacharger_kinematics.geometry import Vector
 
 POWERS = ("board", "none")
@@ -33,7 +23,7 @@ BAND_MARGIN = 0.015  # A, distance of an accepted reading from the band's lower 
 
 
 @dataclass(frozen=True)
-class DockingParameters(Bounded):
+class DockingParameters(parameters.Bounded):
     """Parameters of the docking state machine; explained in docs/docking.md.
 
     Parameters of moving, pressing, aligning and waiting can be set between goals. Those that describe the machine or
@@ -44,10 +34,16 @@ class DockingParameters(Bounded):
     """
 
     power: str = choice("board", POWERS, "board: contactor, limiter and probe; none: electrodes wired to the battery")
-    servo_stiffness: float = number(SERVO_STIFFNESS, STIFFNESS_MIN, STIFFNESS_MAX, "N·m/rad", "until it is estimated")
-    torque_constant: float = number(TORQUE_CONSTANT, 0.1, 10.0, "N·m/A", "torque per current, as in servo_node")
+    servo_stiffness: float = number(
+        machine.SERVO_STIFFNESS,
+        servo_types.STIFFNESS_MIN,
+        servo_types.STIFFNESS_MAX,
+        "N·m/rad",
+        "until it is estimated",
+    )
+    torque_constant: float = number(machine.TORQUE_CONSTANT, 0.1, 10.0, "N·m/A", "torque per current, as in servo_node")
     gravity: tuple[float, float, float] = numbers(
-        GRAVITY, -20.0, 20.0, "m/s²", "gravity in charger_base ({unit}), +z toward the target, +y up"
+        machine.GRAVITY, -20.0, 20.0, "m/s²", "gravity in charger_base ({unit}), +z toward the target, +y up"
     )
     home_z: float = tunable(0.0, 0.0, 0.11, "m", "home position, z")
     # Chosen on seeds of the family 777001, then 5 and 19.
@@ -61,8 +57,8 @@ class DockingParameters(Bounded):
     current_max: float = tunable(0.5, 0.05, 2.0, "A", "upper end of the contact current's band")
     # The paper's critical angle, and below the electrodes that short at it.
     critical_angle: float = number(math.radians(12.0), 0.01, math.radians(12.05), "rad", "angle that would short")
-    electrode_half_gap: float = number(0.5 * BAR_GAP, 0.0005, 0.02, "m", "half the gap between the two bars")
-    electrode_half_length: float = number(0.5 * BAR_LENGTH, 0.005, 0.1, "m", "half the length of a bar")
+    electrode_half_gap: float = number(0.5 * machine.BAR_GAP, 0.0005, 0.02, "m", "half the gap between the two bars")
+    electrode_half_length: float = number(0.5 * machine.BAR_LENGTH, 0.005, 0.1, "m", "half the length of a bar")
     # From the formula of the clearance, and a rate of unsafe acts by the normal distribution and its tails.
     clearance_min: float = number(0.0003, 0.0, 0.005, "m", "clearance that must remain at 3 standard deviations")
     # Chosen on seeds 5 and 19.
@@ -72,11 +68,11 @@ class DockingParameters(Bounded):
     place_stddev: float = number(0.005, 1e-4, 0.05, "m", "standard deviation of the pose in a goal")
     yaw_stddev: float = number(math.radians(1.2), 0.0, 0.2, "rad", "standard deviation of an unknown yaw; 0 = parallel")
     platform_compliance: float = number(0.02, 0.0, 0.1, "rad/(N·m)", "tilt of the platform per moment; 0 = rigid")
-    magnet_force: float = number(MAGNET_FORCE, 0.0, 300.0, "N", "pull of the magnets in contact without offset")
+    magnet_force: float = number(machine.MAGNET_FORCE, 0.0, 300.0, "N", "pull of the magnets in contact without offset")
     charge_stable_time: float = tunable(1.0, 0.1, 10.0, "s", "time of charge current before docking succeeds")
-    battery_voltage_min: float = number(BATTERY_MIN, 1.0, 60.0, "V", "own battery that ends charging after 5 s")
+    battery_voltage_min: float = number(machine.BATTERY_MIN, 1.0, 60.0, "V", "own battery that ends charging after 5 s")
     battery_voltage_start: float = number(23.7, 1.0, 60.0, "V", "lowest voltage of the own battery for closing")
-    battery_voltage_max: float = number(BATTERY_MAX, 1.0, 60.0, "V", "highest voltage of the own battery")
+    battery_voltage_max: float = number(machine.BATTERY_MAX, 1.0, 60.0, "V", "highest voltage of the own battery")
     hold_max: float = tunable(14400.0, 1.0, 604800.0, "s", "longest rest on a target since the last goal")
     age_max: float = number(0.5, 0.1, 2.0, "s", "age of servo_state, tactile_frame or charger_power that ends docking")
     live_servo_age_max: float = number(LONGEST_LEASE, 0.02, 0.5, "s", "age of servo_state that opens the contactor")
@@ -86,15 +82,17 @@ class DockingParameters(Bounded):
         super().__post_init__()
         if not self.current_min + 2 * BAND_MARGIN < self.current_max:
             problem = f"current_max must be more than {2 * BAND_MARGIN:g} A above it"
-            raise ParameterError("current_min", self.current_min, problem)
+            raise parameters.ParameterError("current_min", self.current_min, problem)
         for lower, upper in _ORDERED:
             if (low := getattr(self, lower)) > (high := getattr(self, upper)):
-                raise ParameterError(lower, low, f"{low:g} is above {upper}, {high:g}: lower it, or raise {upper}")
+                raise parameters.ParameterError(
+                    lower, low, f"{low:g} is above {upper}, {high:g}: lower it, or raise {upper}"
+                )
 
     @classmethod
-    def of(cls, servo: ServoType) -> DockingParameters:
+    def of(cls, servo: servo_types.ServoType) -> DockingParameters:
         """Return the defaults for a type of servo: contact currents are the same forces on every type."""
-        least, most = contact_band(servo)
+        least, most = servo_types.contact_band(servo)
         return cls(torque_constant=servo.torque_constant, current_min=least, current_max=most)
 
     @property
@@ -124,7 +122,7 @@ class DockingParameters(Bounded):
 
 
 @dataclass(frozen=True)
-class DockingNodeParameters(Bounded):
+class DockingNodeParameters(parameters.Bounded):
     """Its servos, and where the charger is on its robot.
 
     Raises:
@@ -132,23 +130,23 @@ class DockingNodeParameters(Bounded):
     """
 
     servo_type: str = choice(
-        MX_64.name,
-        tuple(each.name for each in TYPES.values()),
+        servo_types.MX_64.name,
+        tuple(each.name for each in servo_types.TYPES.values()),
         "the arm's; contact currents that are not given follow it",
     )
     base_frame: str = words("base_link", "the robot's frame for goals, in addition to charger_base")
-    base_pose: tuple[float, ...] = pose((0.0, 0.0, 0.0, 0.5, 0.5, 0.5, 0.5), "charger_base in base_frame")
+    base_pose: tuple[float, ...] = parameters.pose((0.0, 0.0, 0.0, 0.5, 0.5, 0.5, 0.5), "charger_base in base_frame")
 
     @property
-    def servo(self) -> ServoType:
+    def servo(self) -> servo_types.ServoType:
         """The type of the arm's servos."""
-        return next(each for each in TYPES.values() if each.name == self.servo_type)
+        return next(each for each in servo_types.TYPES.values() if each.name == self.servo_type)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not any(self.base_pose[3:]):
             problem = "its quaternion is zero: give x y z, then a quaternion x y z w of nonzero length"
-            raise ParameterError("base_pose", self.base_pose, problem)
+            raise parameters.ParameterError("base_pose", self.base_pose, problem)
 
 
 PORTS = ("live", "dead")
@@ -156,7 +154,7 @@ _BELOW = (("empty_voltage", "full_voltage"), ("end_current", "current"), ("least
 
 
 @dataclass(frozen=True)
-class TargetProfile(Bounded):
+class TargetProfile(parameters.Bounded):
     """What one kind of target allows; docs/targets.md says how to find it with a multimeter.
 
     Raises:
@@ -177,7 +175,7 @@ class TargetProfile(Bounded):
         super().__post_init__()
         for lower, upper in _BELOW:
             if not getattr(self, lower) < getattr(self, upper):
-                raise ParameterError(lower, getattr(self, lower), f"{lower} must lie below {upper}")
+                raise parameters.ParameterError(lower, getattr(self, lower), f"{lower} must lie below {upper}")
 
     @property
     def standing_current(self) -> float:
@@ -191,7 +189,7 @@ class TargetProfile(Bounded):
 
 
 @dataclass(frozen=True)
-class ProfileNames(Bounded):
+class ProfileNames(parameters.Bounded):
     """Which targets the installation knows; the parameters of each have its name as prefix.
 
     Raises:
@@ -204,6 +202,8 @@ class ProfileNames(Bounded):
         super().__post_init__()
         for index, name in enumerate(self.target_profiles):
             if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
-                raise ParameterError("target_profiles", name, f"'{name}': give letters, digits and _, a letter first")
+                raise parameters.ParameterError(
+                    "target_profiles", name, f"'{name}': give letters, digits and _, a letter first"
+                )
             if name in self.target_profiles[:index]:
-                raise ParameterError("target_profiles", name, f"'{name}' is listed twice")
+                raise parameters.ParameterError("target_profiles", name, f"'{name}' is listed twice")

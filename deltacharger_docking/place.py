@@ -17,8 +17,6 @@ landing error beside the commanded place (DOCKING_JITTER), which encoders do not
 a normal density. It is calculated on a grid of places, since it can have two peaks: the force is even in x.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -26,11 +24,8 @@ from statistics import NormalDist
 
 import numpy as np
 
-from deltacharger_core.arrays import Array
-from deltacharger_core.machine import DOCKING_JITTER, MAGNET_FLOOR, MAGNET_WIDTH, PAD_DISTANCE, PAD_YAW_STIFFNESS
-from deltacharger_docking.arm import RemainingShare
-from deltacharger_docking.clearance import MisalignmentEstimate, pitch_shift
-from deltacharger_docking.observation import ElectrodePose
+from deltacharger_core import arrays, machine
+from deltacharger_docking import arm, clearance, observation
 from deltacharger_docking.parameters import DockingParameters
 
 # Chosen in earlier campaigns whose seeds were not kept.
@@ -104,7 +99,7 @@ class AxisFilter:
     def update(self, platform: float, offset: float, stddev: float) -> None:
         """Add one contact: platform and offset (m), and the offset's reported standard deviation (m)."""
         own = max(stddev**2, _LEAST) + (GAIN_ERROR * offset) ** 2
-        variance, place, weight = DOCKING_JITTER**2 + own, platform + offset, 1.0 / own
+        variance, place, weight = machine.DOCKING_JITTER**2 + own, platform + offset, 1.0 / own
         mean = offset
         self._looks += 1
         if self._information > 0.0:
@@ -121,7 +116,7 @@ class AxisFilter:
     @property
     def _ahead(self) -> float:
         """Variance (m²) with which the filter predicts the offset of a contact."""
-        return DOCKING_JITTER**2 + 1.0 / self._information + _LEAST
+        return machine.DOCKING_JITTER**2 + 1.0 / self._information + _LEAST
 
     @property
     def contradicts_itself(self) -> bool:
@@ -141,10 +136,10 @@ class MagnetPull:
         width: offset that halves it, m.
     """
 
-    def __init__(self, force: float, width: float = MAGNET_WIDTH) -> None:
+    def __init__(self, force: float, width: float = machine.MAGNET_WIDTH) -> None:
         self._force, self._width = force, width
 
-    def at(self, x: Array, across: float, angle: float) -> tuple[Array, Array, Array]:
+    def at(self, x: arrays.Array, across: float, angle: float) -> tuple[arrays.Array, arrays.Array, arrays.Array]:
         """Return pull (N), its slope along x (N/m) and by the logarithm of the width (N).
 
         Args:
@@ -156,9 +151,9 @@ class MagnetPull:
         y = across / np.cos(angle) + x * lean
         square = (x * x + y * y) / self._width**2
         share = 1.0 / (1.0 + square)
-        falls = share > MAGNET_FLOOR
+        falls = share > machine.MAGNET_FLOOR
         steep = np.where(falls, share * share, 0.0) * (2.0 * self._force)
-        pull = self._force * np.maximum(share, MAGNET_FLOOR)
+        pull = self._force * np.maximum(share, machine.MAGNET_FLOOR)
         return pull, -steep * (x + y * lean) / self._width**2, steep * square
 
 
@@ -225,7 +220,7 @@ class Plan:
 
 def empty_pad_offset(force: float) -> float:
     """Return the offset by load (m) from which a contact under this force (N) leaves a pad almost empty."""
-    return _LOAD_SHARE_MAX * force * PAD_DISTANCE / PAD_YAW_STIFFNESS * LOAD_PER_YAW
+    return _LOAD_SHARE_MAX * force * machine.PAD_DISTANCE / machine.PAD_YAW_STIFFNESS * LOAD_PER_YAW
 
 
 class AlongFilter:
@@ -280,7 +275,7 @@ class AlongFilter:
         weights = np.exp(logs - logs.max())
         self._weights = weights = weights / weights.sum()
         self.target = float(weights @ places)
-        variance = DOCKING_JITTER**2
+        variance = machine.DOCKING_JITTER**2
         self._means = places - look.platform + variance * (last * score).sum(axis=1)
         left = variance - variance**2 * (last * of_last).sum(axis=1)
         self._spread = math.sqrt(max(float(weights @ left), _LEAST))
@@ -351,15 +346,17 @@ class AlongFilter:
         pull, _, _ = self._pull.at(np.array(aside), 0.0, last.angle)
         return abs(self.bias + aside) > empty_pad_offset(float(pull) + last.push)
 
-    def _grid(self) -> Array:
+    def _grid(self) -> arrays.Array:
         """Return the places (G,) of the grid, m."""
         first = self._looks[0]
         middle = self._foreseen if math.isfinite(self._foreseen) else first.platform + first.load - self._bias
         return middle + _HALF_WIDTH * np.linspace(-1.0, 1.0, _POINTS)
 
-    def _rows(self, places: Array, looks: list[LookAlong]) -> tuple[Array, Array, Array, Array]:
+    def _rows(
+        self, places: arrays.Array, looks: list[LookAlong]
+    ) -> tuple[arrays.Array, arrays.Array, arrays.Array, arrays.Array]:
         """Return rows (G, 3N, 6) of contacts, residuals, noise, and the landing's part (G, 3N) for each place."""
-        size, jitter = _EACH * len(looks), DOCKING_JITTER
+        size, jitter = _EACH * len(looks), machine.DOCKING_JITTER
         rows = np.zeros((len(places), size, 6))
         residual, landing = np.zeros((2, len(places), size))
         noise = np.zeros((len(places), size, size))
@@ -380,18 +377,18 @@ class AlongFilter:
             noise[:, load : draw + 1, load : draw + 1] = block
         return rows, residual, noise, landing
 
-    def _information(self) -> Array:
+    def _information(self) -> arrays.Array:
         """Return the inverse covariance (7, 7) of place and shared errors, linearized at the estimated place."""
         place = 1.0 / self._foreseen_stddev**2 if math.isfinite(self._foreseen) else 0.0
         known = np.diag([place, *1.0 / np.maximum(self._prior, _LEAST)])
         return known + sum(map(self._informs, self._looks))
 
-    def _linear(self, look: LookAlong) -> tuple[Array, Array, Array]:
+    def _linear(self, look: LookAlong) -> tuple[arrays.Array, arrays.Array, arrays.Array]:
         """Return rows (3, 7) by place and shared errors, noise (3, 3) and landing (3,) of a contact on the target."""
         rows, _, noise, landing = self._rows(np.array([self.target]), [look])
         return np.column_stack([landing[0] + [0.0, 0.0, look.draw_share], rows[0]]), noise[0], landing[0]
 
-    def _informs(self, look: LookAlong) -> Array:
+    def _informs(self, look: LookAlong) -> arrays.Array:
         rows, noise, _ = self._linear(look)
         return rows.T @ np.linalg.solve(noise, rows)
 
@@ -401,9 +398,9 @@ class AlongFilter:
         drawn = last.draw_share * aside
         return replace(last, platform=self.target - aside + drawn, across=0.0, drawn=drawn)
 
-    def _landing(self, known: Array) -> tuple[float, float]:
+    def _landing(self, known: arrays.Array) -> tuple[float, float]:
         """Return the variance (m²) of the offset of a contact at the target, before and after it is measured."""
-        look, jitter = self._expected(0.0), DOCKING_JITTER**2
+        look, jitter = self._expected(0.0), machine.DOCKING_JITTER**2
         rows, noise, landing = self._linear(look)
         covariance = np.diag(np.full(8, jitter))
         covariance[:7, :7] = np.linalg.inv(known)
@@ -446,7 +443,10 @@ class TargetPlace:
     """
 
     def __init__(
-        self, parameters: DockingParameters, share: RemainingShare, electrodes: ElectrodePose | None = None
+        self,
+        parameters: DockingParameters,
+        share: arm.RemainingShare,
+        electrodes: observation.ElectrodePose | None = None,
     ) -> None:
         self._parameters, self._share = parameters, share
         # Its yaw along the ridges: combined with the usual spread of targets, and as detected alone.
@@ -463,7 +463,7 @@ class TargetPlace:
 
     def add(
         self,
-        estimate: MisalignmentEstimate,
+        estimate: clearance.MisalignmentEstimate,
         x: float,
         y: float,
         push: float,
@@ -526,7 +526,7 @@ class TargetPlace:
         x, y = self.off
         return x - aside, y - aside * math.tan(self._turn)
 
-    def least_yaw(self, estimate: MisalignmentEstimate, x: float, push: float) -> float:
+    def least_yaw(self, estimate: clearance.MisalignmentEstimate, x: float, push: float) -> float:
         """Return the least yaw of the faces (rad) that lets one pad carry nearly all, although both have a ridge.
 
         Args:
@@ -545,13 +545,13 @@ class TargetPlace:
         if not (estimate.complete and light < _PAD_FORCE_MIN and force > enough):
             return math.nan
         heavy = 1.0 if loads[0] > loads[1] else -1.0  # side of the loaded pad along x
-        ridge = estimate.across / math.cos(estimate.angle) - heavy * PAD_DISTANCE * math.tan(estimate.angle)
+        ridge = estimate.across / math.cos(estimate.angle) - heavy * machine.PAD_DISTANCE * math.tan(estimate.angle)
         place, lean = self._along.parts(heavy * empty_pad_offset(force), x)
         if abs(ridge) > _ON_PAD or heavy * lean < abs(place):
             return math.nan
-        return heavy * PAD_DISTANCE * force * (p.platform_compliance + 1.0 / PAD_YAW_STIFFNESS)
+        return heavy * machine.PAD_DISTANCE * force * (p.platform_compliance + 1.0 / machine.PAD_YAW_STIFFNESS)
 
-    def pointed_at(self, estimate: MisalignmentEstimate, x: float) -> tuple[float, float]:
+    def pointed_at(self, estimate: clearance.MisalignmentEstimate, x: float) -> tuple[float, float]:
         """Return where (m, along x and y) an unsure estimate points, with the platform at `x` (m).
 
         Out of range it points across the bars only: along them, a pad off its ridge cannot be distinguished from one
@@ -572,19 +572,19 @@ class TargetPlace:
         self._share.learn(*self._seen, bias.mean / per_yaw, bias.stddev / per_yaw)
         self._seen = (math.nan, math.nan)
 
-    def settle(self, estimate: MisalignmentEstimate) -> MisalignmentEstimate:
+    def settle(self, estimate: clearance.MisalignmentEstimate) -> clearance.MisalignmentEstimate:
         """Use the estimate made with the arm at ease, and return it as `combined`."""
         self._load = estimate.horizontal
         return self.combined(estimate)
 
-    def _foreseen(self, electrodes: ElectrodePose | None) -> AlongFilter:
+    def _foreseen(self, electrodes: observation.ElectrodePose | None) -> AlongFilter:
         """Return the filter before contact: with the place if known, and the load bias expected from the yaw."""
         (yaw, stddev), share, per_yaw = self._yaw, self._share, LOAD_PER_YAW
         spread = per_yaw * math.hypot(share.value * stddev, share.stddev * yaw)
         place = math.nan if electrodes is None else electrodes.position[0]
         return AlongFilter(self._parameters, place, self._parameters.place_stddev, per_yaw * share.value * yaw, spread)
 
-    def combined(self, estimate: MisalignmentEstimate, later: bool = False) -> MisalignmentEstimate:
+    def combined(self, estimate: clearance.MisalignmentEstimate, later: bool = False) -> clearance.MisalignmentEstimate:
         """Return this contact's estimate combined with all contacts, including the yaw of the faces.
 
         `later`: this contact was estimated before; a change of its loads since then means that the target has slid.
@@ -596,7 +596,9 @@ class TargetPlace:
         angle = estimate.angle
         sine, cosine = math.sin(angle), math.cos(angle)
         pitch, pitch_stddev = _among(p.yaw_stddev, estimate.pitch, estimate.pitch_stddev)
-        shifted = pitch_shift(replace(estimate, pitch_stddev=0.0))  # what a known pitch adds to the pads' own error
+        shifted = clearance.pitch_shift(
+            replace(estimate, pitch_stddev=0.0)
+        )  # what a known pitch adds to the pads' own error
         yaw, yaw_stddev = self._yaw_by_contacts()
         return replace(
             estimate,
@@ -621,7 +623,7 @@ class TargetPlace:
         return before + weight * (found - before), stddev * math.sqrt(1.0 - weight)
 
 
-def _along_ridges(electrodes: ElectrodePose, usual_yaw: float, usual_pitch: float) -> tuple[float, float]:
+def _along_ridges(electrodes: observation.ElectrodePose, usual_yaw: float, usual_pitch: float) -> tuple[float, float]:
     """Return the yaw along the ridges before contact and its standard deviation, rad.
 
     On rolled ridges a pitch acts as a yaw, by the tangent. The usual spread of targets is a standard deviation.

@@ -1,20 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Steps 4 and 6 of Algorithm 1: press until the current is in its band, ease the arm, lift off and move aside."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 
 from deltacharger_core.script import NEXT, Script
-from deltacharger_docking import codes
-from deltacharger_docking.clearance import MisalignmentEstimate
-from deltacharger_docking.codes import State
+from deltacharger_docking import clearance, codes, release
 from deltacharger_docking.contact import PRESS_AGE_MAX
 from deltacharger_docking.context import RESPONSE_MAX, RESPONSE_MIN, SETTLE_TOUCHING, Context, KnownContact
 from deltacharger_docking.parameters import BAND_MARGIN
 from deltacharger_docking.place import FORCE_ERROR
-from deltacharger_docking.release import FREE_CURRENT, LIFT, take_off
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.trajectory_feed import Waypoint
 
@@ -38,11 +33,11 @@ _DIFFERS = 16.0  # N by which the pads' rise may exceed the currents'; faultless
 _LEVEL = 0.25  # share of the force that the lighter pad has on faces that lie flat
 _PROBABLY = 0.003  # m beyond the expected contact, up to which it is usually met
 
-Look = Callable[[], Script[MisalignmentEstimate | None]]
+Look = Callable[[], Script[clearance.MisalignmentEstimate | None]]
 """Measures at the first contact; returns the estimate if it forbids pressing further."""
 
 
-def contact(context: Context, depth: float, look: Look | None = None) -> Script[MisalignmentEstimate | None]:
+def contact(context: Context, depth: float, look: Look | None = None) -> Script[clearance.MisalignmentEstimate | None]:
     """Press until the contact current rests in its band.
 
     Args:
@@ -58,7 +53,7 @@ def contact(context: Context, depth: float, look: Look | None = None) -> Script[
         NoTactileContact: the servos push but the pads measure no force.
         Overcurrent: the band was overshot too often.
     """
-    context.enter(State.CONTACT, CONTACT_TIMEOUT)
+    context.enter(codes.State.CONTACT, CONTACT_TIMEOUT)
     estimate = yield from _meet(context, depth, look)
     if estimate is not None:
         return estimate
@@ -103,10 +98,10 @@ def move_aside(context: Context, x: float, y: float) -> Script[None]:
     """
     parameters = context.parameters
     commanded, z = context.commanded, context.position[2]
-    place = commanded[0] + x, commanded[1] + y, z - LIFT
+    place = commanded[0] + x, commanded[1] + y, z - release.LIFT
     context.check_way((*context.position[:2], place[2]), place, (*place[:2], z))
-    context.enter(State.ALIGN, ALIGN_TIMEOUT)
-    yield from take_off(context, place[2])
+    context.enter(codes.State.ALIGN, ALIGN_TIMEOUT)
+    yield from release.take_off(context, place[2])
     context.status.docked = False  # until the electrodes rest again
     context.evidence.forget()
     yield from context.move(place, parameters.travel_speed, settle=False)
@@ -137,7 +132,7 @@ def slope_expected(context: Context) -> float:
     return 1.0 / (3.0 * lever * context.springs.compliance)
 
 
-def _meet(context: Context, depth: float, look: Look | None) -> Script[MisalignmentEstimate | None]:
+def _meet(context: Context, depth: float, look: Look | None) -> Script[clearance.MisalignmentEstimate | None]:
     """Press the target until the contact current is near its band: at a known place directly, else after a search.
 
     The arm moves fast where it cannot strike anything. If a known place is wrong, the search starts there. With `look`
@@ -176,7 +171,7 @@ def _meet(context: Context, depth: float, look: Look | None) -> Script[Misalignm
     return None
 
 
-def _search(context: Context, depth: float, look: Look | None = None) -> Script[MisalignmentEstimate | None]:
+def _search(context: Context, depth: float, look: Look | None = None) -> Script[clearance.MisalignmentEstimate | None]:
     """Move along z to the start of the search, then slowly up to `depth` (m) until contact; continue pressing there."""
     parameters, (x, y, z) = context.parameters, context.commanded
     expected = depth - parameters.search_depth
@@ -196,7 +191,7 @@ def _touches(context: Context) -> bool:
     return context.observation.tactile_contact or context.contact.value > context.parameters.current_min
 
 
-def _press_on(context: Context, look: Look | None = None) -> Script[MisalignmentEstimate | None]:
+def _press_on(context: Context, look: Look | None = None) -> Script[clearance.MisalignmentEstimate | None]:
     """Continue pressing from where the platform stops, to a share of the band that is safe on a rigid target."""
     parameters, end = context.parameters, context.time + SETTLE_TOUCHING
     highest = -math.inf
@@ -253,7 +248,7 @@ def _into_band(context: Context, depth: float) -> Script[None]:
             yield from step_to(context, z - _OVERSHOOT_BACK_OFF / slope)
             continue
         check_depth(context, depth)
-        touching = abs(before) > FREE_CURRENT or context.observation.tactile_contact
+        touching = abs(before) > release.FREE_CURRENT or context.observation.tactile_contact
         if touching:
             far = before < _STEP_NEAR * low
             share = _STEP_SHARE ** (far + overshoots)  # a worn gear holds, then gives way
@@ -319,7 +314,7 @@ _POINTS = 16  # of the line in joint angles; receivers interpolate linearly, so 
 
 def ease(context: Context) -> Script[None]:
     """Bring each servo to the common current that presses in the middle of the band, as far as friction holds."""
-    context.enter(State.CONTACT, CONTACT_TIMEOUT)
+    context.enter(codes.State.CONTACT, CONTACT_TIMEOUT)
     place, hottest = context.position, _hottest(context)
     holds, response = True, 1.0 / context.springs.compliance
     for _ in range(_EASE_ROUNDS):

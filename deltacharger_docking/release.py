@@ -6,21 +6,15 @@ Targets yield on their wheels, so travel alone proves nothing: the pads show whe
 pull parts even a robot that rolls, because its mass resists before its wheels turn.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 
 from deltacharger_core.script import NEXT, Script
-from deltacharger_docking.codes import DockingError, ServoFailure, State, Stuck, TactileStale
-from deltacharger_docking.contact import PRESS_AGE_MAX
+from deltacharger_docking import codes, contact, energy, watch
 from deltacharger_docking.context import REACH, SERVICE_TIMEOUT, Context
-from deltacharger_docking.energy import de_energise, prove_dead
 from deltacharger_docking.observation import Service
-from deltacharger_docking.watch import rolls
-from deltacharger_kinematics.geometry import Vector
-from deltacharger_kinematics.trajectory_feed import PULL_HORIZON
+from deltacharger_kinematics import geometry, trajectory_feed
 
 FREE_CURRENT = 0.06  # A, largest size of the contact current in free air
 LIFT = 0.008  # m that the platform lifts before it moves sideways; chosen on seeds of the family 777001, then 5 and 19
@@ -47,7 +41,9 @@ def take_off(context: Context, z: float) -> Script[None]:
         ServoFailure: the position after release is unknown; it holds there.
     """
     if _is_home(context):
-        raise Stuck("the pads feel contact at home, so nothing was moved: move away what touches them, or check them")
+        raise codes.Stuck(
+            "the pads feel contact at home, so nothing was moved: move away what touches them, or check them"
+        )
     for _ in range(_PULLS):
         context.lets_go = True
         try:
@@ -121,7 +117,7 @@ def _release(context: Context) -> Script[None]:
         context.check_moved(pulled)
         raise _stuck(context)
     if came and not frozen:
-        raise rolls(context, f"it came {1000 * (z - here[2]):.0f} mm along with the magnets")
+        raise watch.rolls(context, f"it came {1000 * (z - here[2]):.0f} mm along with the magnets")
     context.decide(
         "released",
         "the electrodes are released",
@@ -133,23 +129,25 @@ def _release(context: Context) -> Script[None]:
     context.commanded = back = (x, y, min(here[2], max(min(parted - BACK, free), parameters.home_z)))
     try:
         goal = context.planner.line(here, back, parameters.travel_speed)[-1]
-    except DockingError:
+    except codes.DockingError:
         context.hold()  # ends the pull
         raise
     most = RELEASE_CURRENT * parameters.torque_constant
     yield from _come_to_rest(context, goal.angles, (most, most, most), back)
     if frozen:
-        raise TactileStale("the pads repeat one frame, so nothing shows what they touch; restart the board")
+        raise codes.TactileStale("the pads repeat one frame, so nothing shows what they touch; restart the board")
 
 
-def _behind(context: Context, current: float) -> Vector:
+def _behind(context: Context, current: float) -> geometry.Vector:
     """Return the goals (rad) that pull back with `current` (A) from the present angles."""
     lead, lowest = current * context.springs.compliance, context.kinematics.geometry.joint_min
     a, b, c = (max(angle - lead, lowest) for angle in context.observation.angles)
     return a, b, c
 
 
-def _come_to_rest(context: Context, goal: Vector, bound: Vector, back: Vector) -> Script[None]:
+def _come_to_rest(
+    context: Context, goal: geometry.Vector, bound: geometry.Vector, back: geometry.Vector
+) -> Script[None]:
     """Hold `goal` (rad) until the platform, flying off the magnets, rests near `back` (m), or as long as it swings."""
     end, before, rest = context.time + context.springs.settle_time, math.inf, context.kinematics.inverse(*back)
     near = back[2] + REACH
@@ -161,12 +159,12 @@ def _come_to_rest(context: Context, goal: Vector, bound: Vector, back: Vector) -
 
 def touches(context: Context) -> bool:
     """Return whether fresh frames of tared pads show contact."""
-    seen, oldest = context.observation, PRESS_AGE_MAX
+    seen, oldest = context.observation, contact.PRESS_AGE_MAX
     return seen.tared and seen.tactile_contact and seen.tactile_age <= oldest
 
 
 def _pull(
-    context: Context, goal: Vector, current: float, seconds: float, parted: float, rest: Vector | None
+    context: Context, goal: geometry.Vector, current: float, seconds: float, parted: float, rest: geometry.Vector | None
 ) -> Script[float]:
     """Pull toward the angles `goal` for this time, or until the platform is out of the magnets' reach.
 
@@ -189,19 +187,21 @@ def _pull(
             newest, parted = sampled, min(parted, z)
             if z < start - _FARTHEST or _is_home(context):
                 break
-        known = observation.servos_valid and observation.servo_age <= PRESS_AGE_MAX
+        known = observation.servos_valid and observation.servo_age <= contact.PRESS_AGE_MAX
         if known:
             context.pull(goal, bound, rest)
         yield NEXT
-        left -= min(context.time - last, PULL_HORIZON) if known else 0.0  # a pull lapses after PULL_HORIZON
+        left -= (
+            min(context.time - last, trajectory_feed.PULL_HORIZON) if known else 0.0
+        )  # a pull lapses after PULL_HORIZON
         last = context.time
     return parted
 
 
-def _stuck(context: Context) -> Stuck:
+def _stuck(context: Context) -> codes.Stuck:
     context.hold()
     context.decide("stuck", "the magnets do not release", contact_current_A=context.contact.value)
-    return Stuck(
+    return codes.Stuck(
         f"the magnets held against {RELEASE_CURRENT:.1f} A per servo for "
         f"{_RELEASE_TIME:.1f} s; move the target away by hand, or use weaker magnets"
     )
@@ -219,13 +219,13 @@ def retract(context: Context, wanted: bool = False) -> Script[None]:
         wanted: a client requested it; then the torque is also switched on for a limp arm away from home.
     """
     parameters = context.parameters
-    context.enter(State.RETRACT, math.inf)
+    context.enter(codes.State.RETRACT, math.inf)
     context.evidence.forget()
-    yield from de_energise(context)  # has its own limit: the phase must not expire while electrodes may be live
+    yield from energy.de_energise(context)  # has its own limit: the phase must not expire while electrodes may be live
     if wanted:
         yield from context.answered()
     context.deadline = context.time + RETRACT_TIMEOUT
-    while PRESS_AGE_MAX < context.observation.servo_age <= parameters.age_max:
+    while contact.PRESS_AGE_MAX < context.observation.servo_age <= parameters.age_max:
         yield NEXT
     observation = context.observation
     if observation.servo_age > parameters.age_max or observation.hardware_error:
@@ -243,23 +243,23 @@ def retract(context: Context, wanted: bool = False) -> Script[None]:
         yield from context.move(parameters.home, parameters.travel_speed, settle=False)
         yield from context.wait(context.springs.settle_time)
         if touches(context) or context.touched - context.felt > REACH:  # at the end it may touch too lightly to feel
-            raise rolls(context, "it followed the arm home")
+            raise watch.rolls(context, "it followed the arm home")
         away = math.dist(context.position, parameters.home)
         context.decide("retracted", "the arm is home" if away <= LIFT else "the arm stayed", away_m=away)
         if away > LIFT:
             context.check_moved(begun)
-            raise Stuck(f"the arm stayed {1000 * away:.0f} mm from home; free it from the target by hand")
+            raise codes.Stuck(f"the arm stayed {1000 * away:.0f} mm from home; free it from the target by hand")
     context.status.docked = False
-    yield from prove_dead(context)
-    reply = yield from context.ask(Service.TORQUE_OFF, ServoFailure, SERVICE_TIMEOUT)
+    yield from energy.prove_dead(context)
+    reply = yield from context.ask(Service.TORQUE_OFF, codes.ServoFailure, SERVICE_TIMEOUT)
     if not reply.success:
-        raise ServoFailure(f"the servos' torque was not switched off: {reply.message}")
+        raise codes.ServoFailure(f"the servos' torque was not switched off: {reply.message}")
     # Otherwise the next goal could read an old servo_state and send a trajectory to limp servos.
     if not (yield from context.until(lambda: not context.observation.torque_enabled, parameters.age_max)):
-        raise ServoFailure("servo_state still reports torque on; check servo_node, or cut the servos' power")
+        raise codes.ServoFailure("servo_state still reports torque on; check servo_node, or cut the servos' power")
     context.decide("limp", "the servos' torque is off")
     if touches(context):  # it rolled on until now
-        raise rolls(context, "it followed the arm home")
+        raise watch.rolls(context, "it followed the arm home")
 
 
 def go_limp(context: Context) -> Script[None]:

@@ -7,16 +7,12 @@ the difference is friction. The last reading, at rest after a motion along +z, i
 of pushing.
 """
 
-from __future__ import annotations
-
 import math
 from itertools import permutations
 
 from deltacharger_core.script import NEXT, Script
-from deltacharger_docking.arm import LOAD_SHARES
-from deltacharger_docking.codes import NoContact, ServoFailure, State, Stuck
+from deltacharger_docking import arm, codes, release
 from deltacharger_docking.context import SETTLE_TOUCHING, Context
-from deltacharger_docking.release import RELEASE_CURRENT, take_off
 from deltacharger_kinematics import swing as swings
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.swing import SwingReading
@@ -60,7 +56,7 @@ def approach(context: Context, target: Vector) -> Script[float]:
         NoContact: the pads feel contact wherever the arm would tare, or live ones (power: none) touch before.
     """
     parameters = context.parameters
-    context.enter(State.APPROACH, APPROACH_TIMEOUT)
+    context.enter(codes.State.APPROACH, APPROACH_TIMEOUT)
     x, y, z = target
     context.check_way((x, y, z - parameters.standoff))  # before anything moves
     yield from _check_swing(context, z - parameters.standoff)
@@ -73,8 +69,8 @@ def approach(context: Context, target: Vector) -> Script[float]:
             break
         yield from context.wait(SETTLE_TOUCHING)
         z = context.position[2]
-        yield from take_off(context, max(z - parameters.standoff, parameters.home_z))
-    raise NoContact("the pads feel contact before the standoff: check the target's coordinates, and the pads")
+        yield from release.take_off(context, max(z - parameters.standoff, parameters.home_z))
+    raise codes.NoContact("the pads feel contact before the standoff: check the target's coordinates, and the pads")
 
 
 def _tare(context: Context, target: Vector) -> Script[bool]:
@@ -133,9 +129,11 @@ def _check_swing(context: Context, farthest: float) -> Script[None]:
         value = each.damping
         if swings.surely_swings(each):
             braked = f"its damping is {value:.2f} N·m·s/rad, below {swings.LEAST_DAMPING}"
-            raise ServoFailure(f"servo {number} swings: {braked}: raise position_d_gain")
+            raise codes.ServoFailure(f"servo {number} swings: {braked}: raise position_d_gain")
         if value - swings.SURELY * each.damping_stddev > most or number in creeping:
-            raise ServoFailure(f"servo {number} creeps: damping above {most:.1f} N·m·s/rad; lower position_d_gain")
+            raise codes.ServoFailure(
+                f"servo {number} creeps: damping above {most:.1f} N·m·s/rad; lower position_d_gain"
+            )
 
 
 def _swing(context: Context, farthest: float, current: float) -> Script[list[SwingReading]]:
@@ -205,7 +203,7 @@ def _learn_friction(context: Context, down: float, currents: Vector) -> None:
     alone = springs.friction[worst] > _APART * max(others)
     culprit = f"the gear of servo {worst + 1}" if alone else "the cable or all gears"
     takes = f"free motion takes {taken:.2f} A, more than {_MOST_FRICTION:g} A"
-    raise ServoFailure(f"{culprit} rubs: {takes}; free the cable, or replace the servo")
+    raise codes.ServoFailure(f"{culprit} rubs: {takes}; free the cable, or replace the servo")
 
 
 def _check_order(context: Context, back: Vector) -> None:
@@ -226,7 +224,7 @@ def _check_order(context: Context, back: Vector) -> None:
         return
     moves = ", ".join(f"servo {servo} limb {limb}" for servo, limb in enumerate(right, 1) if limb != servo - 1)
     weight = f"the arm's weight lies on the servos as if {moves} moved"
-    raise ServoFailure(f"{weight}: check each servo's id (docs/hardware.md), or docking_node's gravity")
+    raise codes.ServoFailure(f"{weight}: check each servo's id (docs/hardware.md), or docking_node's gravity")
 
 
 def _check_pull(context: Context, target: Vector) -> None:
@@ -236,10 +234,10 @@ def _check_pull(context: Context, target: Vector) -> None:
         Stuck: less friction, the pull is below 1.3 times the magnets.
     """
     parameters, springs = context.parameters, context.springs
-    torque = RELEASE_CURRENT * parameters.torque_constant
+    torque = release.RELEASE_CURRENT * parameters.torque_constant
     pull = context.kinematics.force(*target, (torque, torque, torque))[2]
-    left = (1.0 - LOAD_SHARES[1]) * pull - springs.friction_force
+    left = (1.0 - arm.LOAD_SHARES[1]) * pull - springs.friction_force
     needed = _STRONGER * parameters.magnet_force
     if left < needed:
-        pulls = f"{RELEASE_CURRENT:.1f} A pull with {left:.0f} N, and the magnets need {needed:.0f}"
-        raise Stuck(f"the arm could not let go: {pulls}: free the cable, or use weaker magnets")
+        pulls = f"{release.RELEASE_CURRENT:.1f} A pull with {left:.0f} N, and the magnets need {needed:.0f}"
+        raise codes.Stuck(f"the arm could not let go: {pulls}: free the cable, or use weaker magnets")

@@ -6,16 +6,10 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from deltacharger_core.machine import MAGNET_WIDTH
-from deltacharger_core.script import NEXT, Script
-from deltacharger_docking import clearance, codes
-from deltacharger_docking.clearance import MisalignmentEstimate, Verdict, judge
-from deltacharger_docking.codes import State
+from deltacharger_core import machine, script
+from deltacharger_docking import clearance, codes, goals, observation, release
 from deltacharger_docking.context import SERVICE_TIMEOUT, Context
-from deltacharger_docking.goals import in_words
-from deltacharger_docking.observation import Service
 from deltacharger_docking.place import TargetPlace
-from deltacharger_docking.release import LIFT
 
 _CLEARANCE_CONTACTS = 2  # successive contacts that must pass if one is not enough; chosen as CLEARANCE_SIGMAS
 _ALIGNMENT_TOLERANCE = 0.001  # m, offset from which a move counts as a correction; chosen on seeds 5 and 19
@@ -32,18 +26,18 @@ _DRAWS = 1e-3  # m, times force/width²: lateral stiffness of magnets while the 
 _POWER = 0.1  # s, two periods of charger_power
 
 
-def measure(context: Context) -> Script[MisalignmentEstimate]:
+def measure(context: Context) -> script.Script[clearance.MisalignmentEstimate]:
     """Return the misalignment that the pads measure, sure or not.
 
     Raises:
         NoTactileContact: they measure no contact.
         TactileStale: no estimate arrived.
     """
-    context.enter(State.MEASURE, MEASURE_TIMEOUT)
+    context.enter(codes.State.MEASURE, MEASURE_TIMEOUT)
     context.doubt, context.doubtful = "", context.observation.duplicate_sources
     context.evidence.forget()
     context.evidence.begin()
-    reply = yield from context.ask(Service.ESTIMATE, codes.TactileStale, SERVICE_TIMEOUT, ESTIMATE_FRAMES)
+    reply = yield from context.ask(observation.Service.ESTIMATE, codes.TactileStale, SERVICE_TIMEOUT, ESTIMATE_FRAMES)
     estimate = reply.estimate
     if not reply.success or estimate is None:
         raise codes.TactileStale(f"no misalignment estimate: {reply.message}")
@@ -56,23 +50,25 @@ def measure(context: Context) -> Script[MisalignmentEstimate]:
     return estimate
 
 
-def keep_evidence(context: Context, estimate: MisalignmentEstimate) -> None:
+def keep_evidence(context: Context, estimate: clearance.MisalignmentEstimate) -> None:
     """Let this estimate of the contact count until its evidence is lost."""
     sigmas = clearance.CLEARANCE_SIGMAS
     margin = clearance.least_clearance(estimate, context.parameters, sigmas) if estimate.usable else 0.0
     context.evidence.keep(context.position, margin)
 
 
-def with_pitch(context: Context, estimate: MisalignmentEstimate) -> MisalignmentEstimate:
+def with_pitch(context: Context, estimate: clearance.MisalignmentEstimate) -> clearance.MisalignmentEstimate:
     """Return the estimate with the pitch that was detected before contact, which pads cannot measure."""
     seen = context.electrodes
     return estimate if seen is None else replace(estimate, pitch=seen.pitch, pitch_stddev=seen.pitch_stddev)
 
 
-def record_verdict(context: Context, estimate: MisalignmentEstimate, critical_angle: float) -> Verdict:
+def record_verdict(
+    context: Context, estimate: clearance.MisalignmentEstimate, critical_angle: float
+) -> clearance.Verdict:
     """Judge clearance by a usable estimate, and record the verdict with its numbers."""
     parameters = context.parameters
-    verdict = judge(estimate, parameters, critical_angle)
+    verdict = clearance.judge(estimate, parameters, critical_angle)
     least = [
         clearance.least_clearance(estimate, parameters, sigmas) - parameters.clearance_min
         for sigmas in (0.0, clearance.CLEARANCE_SIGMAS, clearance.CLEARANCE_SIGMAS_SURE)
@@ -87,7 +83,7 @@ def record_verdict(context: Context, estimate: MisalignmentEstimate, critical_an
     return verdict
 
 
-def look(context: Context, target: Target) -> Script[MisalignmentEstimate | None]:
+def look(context: Context, target: Target) -> script.Script[clearance.MisalignmentEstimate | None]:
     """Measure at the first touch; return the estimate if it forbids pressing further, else None.
 
     Where the target makes the port live, its voltage shows that no bar bridges it, and only a touch without it is
@@ -104,11 +100,11 @@ def look(context: Context, target: Target) -> Script[MisalignmentEstimate | None
     parameters = context.parameters
     end = context.time + (0.0 if parameters.always_live else _POWER)
     while context.time < end and not context.port_shown:
-        yield NEXT
+        yield script.NEXT
     if not parameters.always_live and context.port_shown and not context.is_dark:
         return None
     context.contact.clear()
-    reply = yield from context.ask(Service.ESTIMATE, codes.TactileStale, SERVICE_TIMEOUT, ESTIMATE_FRAMES)
+    reply = yield from context.ask(observation.Service.ESTIMATE, codes.TactileStale, SERVICE_TIMEOUT, ESTIMATE_FRAMES)
     if not reply.success or reply.estimate is None:
         raise codes.TactileStale(f"no misalignment estimate at the first touch: {reply.message}")
     context.status.estimate = estimate = with_pitch(context, reply.estimate)
@@ -120,9 +116,9 @@ def look(context: Context, target: Target) -> Script[MisalignmentEstimate | None
             estimate if known and clearance.reaches_limit(estimate.angle, parameters, target.critical_angle) else None
         )
     verdict = record_verdict(context, estimate, target.critical_angle)
-    if verdict is Verdict.CRITICAL:
+    if verdict is clearance.Verdict.CRITICAL:
         raise codes.CriticalAngle(rolled_too_far(estimate.angle))
-    return estimate if verdict is Verdict.TOO_CLOSE else None
+    return estimate if verdict is clearance.Verdict.TOO_CLOSE else None
 
 
 class Target:
@@ -147,9 +143,9 @@ class Target:
         self._angles: list[float] = []
         self._passed = 0  # contacts in a row that leave clearance
         self._unsure = self._unsure_here = 0
-        self._estimate: MisalignmentEstimate | None = None  # in this contact
+        self._estimate: clearance.MisalignmentEstimate | None = None  # in this contact
 
-    def allows_rest(self, estimate: MisalignmentEstimate, stay: bool) -> bool:
+    def allows_rest(self, estimate: clearance.MisalignmentEstimate, stay: bool) -> bool:
         """Use the estimate of this contact; return whether the electrodes may rest here and current may flow.
 
         Args:
@@ -176,7 +172,9 @@ class Target:
             cure = "check whether frames repeat, the target moves, or magnet_force is wrong"
             raise codes.EstimateUnsure(f"the pads' estimates contradict the arm's own moves; {cure}")
         verdict = self._judge(estimate)
-        safe = verdict is Verdict.SAFE or (verdict is Verdict.PROBABLY_SAFE and self._passed >= _CLEARANCE_CONTACTS)
+        safe = verdict is clearance.Verdict.SAFE or (
+            verdict is clearance.Verdict.PROBABLY_SAFE and self._passed >= _CLEARANCE_CONTACTS
+        )
         self.place.choose(self._moves, self._reaches)
         context.status.aligned = safe and not self._pays and self.place.risk <= _ALIGNED_RISK_MAX
         settled = stay or not self._pays or self._exhausted
@@ -186,9 +184,12 @@ class Target:
             self.place.choose(self._moves, self._reaches)
         return settled and safe
 
-    def still_allows_rest(self, estimate: MisalignmentEstimate) -> bool:
+    def still_allows_rest(self, estimate: clearance.MisalignmentEstimate) -> bool:
         """Use the estimate made with the arm at ease; return whether clearance remains."""
-        if estimate.usable and judge(estimate, self._context.parameters, self.critical_angle).leaves_clearance:
+        if (
+            estimate.usable
+            and clearance.judge(estimate, self._context.parameters, self.critical_angle).leaves_clearance
+        ):
             self._context.status.estimate = self.place.settle(estimate)
             return True
         self._passed, self._context.status.aligned = 0, False
@@ -237,7 +238,7 @@ class Target:
         context, p = self._context, self._context.parameters
         a, b, c = context.kinematics.jacobian(*context.position)[:3]
         arm = context.springs.stiffness / (a * a + b * b + c * c)
-        magnets = _DRAWS * p.magnet_force / MAGNET_WIDTH**2
+        magnets = _DRAWS * p.magnet_force / machine.MAGNET_WIDTH**2
         return magnets / (magnets + arm)
 
     @property
@@ -248,7 +249,7 @@ class Target:
         """Return whether the platform reaches a contact at this offset (m), and the place before it."""
         here = self._context.position
         place = here[0] + x, here[1] + y, here[2]
-        return not self._context.planner.reach_problem(place, (*place[:2], place[2] - LIFT))
+        return not self._context.planner.reach_problem(place, (*place[:2], place[2] - release.LIFT))
 
     @property
     def _moves(self) -> int:
@@ -258,7 +259,7 @@ class Target:
     def _exhausted(self) -> bool:
         return self._moves >= ALIGNMENTS_MAX
 
-    def _judge(self, estimate: MisalignmentEstimate) -> Verdict:
+    def _judge(self, estimate: clearance.MisalignmentEstimate) -> clearance.Verdict:
         """Judge this contact; after two contacts, also the mean angle."""
         parameters = self._context.parameters
         self._angles.append(estimate.angle)
@@ -268,12 +269,12 @@ class Target:
         centred = replace(estimate, angle=mean, across=0.0)
         if (
             len(self._angles) >= _CLEARANCE_CONTACTS
-            and judge(centred, parameters, self.critical_angle) is Verdict.CRITICAL
+            and clearance.judge(centred, parameters, self.critical_angle) is clearance.Verdict.CRITICAL
         ):
             raise codes.CriticalAngle(rolled_too_far(mean))
         return verdict
 
-    def _look_elsewhere(self, estimate: MisalignmentEstimate) -> tuple[float, float]:
+    def _look_elsewhere(self, estimate: clearance.MisalignmentEstimate) -> tuple[float, float]:
         """Return the move (m) before the next measurement: to where an unsure estimate points, or none.
 
         A pad that has lost its ridge across the bars still shows the direction. An unsure estimate only moves the arm;
@@ -304,7 +305,7 @@ class Target:
         context.decide("again", "the estimate is unsure: the contact is repeated", times=self._unsure)
         return 0.0, 0.0
 
-    def _leaning(self, estimate: MisalignmentEstimate, yaw: float) -> codes.Leaning:
+    def _leaning(self, estimate: clearance.MisalignmentEstimate, yaw: float) -> codes.Leaning:
         """Return the error of faces that are yawed by at least this (rad), or by the detected yaw if larger."""
         electrodes = self._context.electrodes
         seen = electrodes.sure_yaw(clearance.LEAN_SIGMAS) if electrodes is not None else 0.0
@@ -314,12 +315,12 @@ class Target:
         return codes.Leaning(
             f"one pad carries nearly all the force ({left:.0f} N left, {right:.0f} N right): the target's faces are "
             f"yawed by {math.degrees(yaw):+.1f}° or more about y of charger_base, or it is far from its given place; "
-            f"move the robot to suggested_base_pose, which is to {in_words(yaw)}",
+            f"move the robot to suggested_base_pose, which is to {goals.in_words(yaw)}",
             (x, y, z),
             yaw,
         )
 
-    def _give_up(self, estimate: MisalignmentEstimate) -> None:
+    def _give_up(self, estimate: clearance.MisalignmentEstimate) -> None:
         parameters, angle = self._context.parameters, estimate.angle
         if math.isfinite(angle) and clearance.reaches_limit(angle, parameters, self.critical_angle):
             raise codes.CriticalAngle(rolled_too_far(estimate.angle))

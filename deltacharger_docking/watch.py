@@ -5,15 +5,11 @@ Docking looks in every tick, before its script goes on, at a cause before its co
 contactor if a servo fails, so the servos come before the power stage.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 
 from deltacharger_core.machine import LIVE_VOLTAGE, LONGEST_LEASE, ZERO_CURRENT
-from deltacharger_docking import codes
-from deltacharger_docking.codes import POWER_FAULTS, DockingError, State
-from deltacharger_docking.contact import PRESS_AGE_MAX
+from deltacharger_docking import codes, contact
 from deltacharger_docking.context import SAME_SAMPLE, SHOWS, YIELDS, Context, Live
 from deltacharger_docking.parameters import TargetProfile
 
@@ -51,7 +47,7 @@ class Watches:
         self._port = 0.0  # V of the port at most in this contact, with the contactor open
         self._collapse = math.inf  # s, date of the first charger_power that shows that it has gone
 
-    def problem(self, interruptible: bool = True) -> DockingError | None:
+    def problem(self, interruptible: bool = True) -> codes.DockingError | None:
         """Return why the script must end now, if anything; on the way back only what forbids to move on."""
         state = self._context.status.state
         for look, phases, halts in WATCHES:
@@ -59,7 +55,7 @@ class Watches:
                 return problem
         return None
 
-    def _astray(self) -> DockingError | None:
+    def _astray(self) -> codes.DockingError | None:
         context = self._context
         seen, geometry = context.observation, context.kinematics.geometry
         if seen.stopped:
@@ -82,14 +78,14 @@ class Watches:
             "zero_ticks, and at what drags it"
         )
 
-    def _unordered(self) -> DockingError | None:
+    def _unordered(self) -> codes.DockingError | None:
         """A contactor that was seen open is closed, carries current or is reported as welded, without an order."""
         context = self._context
         if not context.opened or context.parameters.always_live or not is_closed(context):
             return None
         return welded(context)
 
-    def _live_in_air(self) -> DockingError | None:
+    def _live_in_air(self) -> codes.DockingError | None:
         context, seen = self._context, self._context.observation
         now, before, self._looked = context.time, self._looked, context.time
         unlooked = now - before > SURE  # in other phases
@@ -102,32 +98,32 @@ class Watches:
         told = f"the electrodes touch nothing but have {seen.target_voltage:.1f} V with the contactor open"
         return codes.ContactorWelded(f"{told}: switch the charger's battery off, and replace the contactor")
 
-    def _servos_silent(self) -> DockingError | None:
+    def _servos_silent(self) -> codes.DockingError | None:
         seen = self._context.observation
         is_missing = self._is_missing(seen.servo_age, self._context.parameters.age_max)
         return seen.servo_silence() if is_missing else None
 
-    def _hardware_error(self) -> DockingError | None:
+    def _hardware_error(self) -> codes.DockingError | None:
         bits = self._context.observation.hardware_error
         if not bits:
             return None
         return codes.ServoFailure(f"a servo reports hardware error {bits:#04x}: end the cause, then call reboot_servos")
 
-    def _torque_lost(self) -> DockingError | None:
+    def _torque_lost(self) -> codes.DockingError | None:
         context, state = self._context, self._context.status.state
         moves = context.lets_go or context.feed.is_under_way(context.time)
-        needed = moves or context.closing is not None or state in (*_TOUCHING, State.ENERGISE)
+        needed = moves or context.closing is not None or state in (*_TOUCHING, codes.State.ENERGISE)
         if context.observation.torque_enabled or not needed:
             return None
         return codes.ServoFailure("the servos lost their torque; see servo_node's diagnostics")
 
-    def _pushes_too_hard(self) -> DockingError | None:
+    def _pushes_too_hard(self) -> codes.DockingError | None:
         context, most = self._context, self._context.parameters.hard_current
         if context.lets_go or context.contact.span < _PUSHED or not context.contact.value > most:
             return None
         return codes.Overcurrent(f"contact current is {context.contact.value:.2f} A, above {most} A")
 
-    def _gives_way(self) -> DockingError | None:
+    def _gives_way(self) -> codes.DockingError | None:
         """The target rolls before the push, or takes the arm along by its magnets, which the push bound cannot stop."""
         context = self._context
         way, touching = context.position[2] - context.touched, context.observation.tactile_contact
@@ -137,7 +133,7 @@ class Watches:
             return codes.NoContact(f"the target moves away: it dragged the arm by {1000 * way:.0f} mm")
         return rolls(context, f"it gives way by {1000 * way:.0f} mm to a push of {context.contact.force:.0f} N")
 
-    def _does_not_follow(self) -> DockingError | None:
+    def _does_not_follow(self) -> codes.DockingError | None:
         if self._context.is_blind or not (lead := self._context.unexplained_lead) > _LEAD_MAX:
             return None
         back = self._context.touched - self._context.position[2]
@@ -148,7 +144,7 @@ class Watches:
             "look for an obstacle, a cable that drags, or a servo that slips"
         )
 
-    def _pads_silent(self) -> DockingError | None:
+    def _pads_silent(self) -> codes.DockingError | None:
         context, age = self._context, self._context.observation.tactile_age
         if not self._is_missing(age, context.parameters.age_max):
             return None
@@ -166,7 +162,7 @@ class Watches:
         starting = age > since and context.status.state in _BEFORE_MOVING
         return age > oldest and not (starting and since < FIRST_DATA_TIMEOUT)
 
-    def _paused(self) -> DockingError | None:
+    def _paused(self) -> codes.DockingError | None:
         context, pause = self._context, self._context.pause
         if context.closing is None:
             return None
@@ -175,7 +171,7 @@ class Watches:
             return None
         return codes.PowerStale(f"docking was suspended for {pause:.1f} s while live; check this computer's load")
 
-    def _bridged(self) -> DockingError | None:
+    def _bridged(self) -> codes.DockingError | None:
         """A bar bridges a live port: its voltage, which was there in this contact, has gone in two charger_power."""
         context, seen, profile = self._context, self._context.observation, self._context.profile
         held = seen.tactile_contact and not context.lets_go and context.closing is None and not seen.contactor_closed
@@ -195,20 +191,20 @@ class Watches:
             "it, or the target switched itself off; check how the target stands, and its fuse"
         )
 
-    def _fault(self) -> DockingError | None:
+    def _fault(self) -> codes.DockingError | None:
         fault = self._context.observation.power_fault
         if self._context.closing is None or not fault:
             return None
         if fault == _REVERSE:
             much = self._context.observation.least_current < _MUCH_BACK
             return _flows_back("the power stage opened the contactor: current flowed", much)
-        kind, words = POWER_FAULTS.get(fault, (codes.PowerStale, f"fault {fault}"))
+        kind, words = codes.POWER_FAULTS.get(fault, (codes.PowerStale, f"fault {fault}"))
         return kind(f"the power stage opened the contactor: {words}")
 
-    def _servos(self) -> DockingError | None:
+    def _servos(self) -> codes.DockingError | None:
         return None if self._context.closing is None else servo_problem(self._context)
 
-    def _power(self) -> DockingError | None:
+    def _power(self) -> codes.DockingError | None:
         context, live = self._context, self._context.closing
         if live is None or context.parameters.always_live:
             return None
@@ -233,13 +229,15 @@ class Watches:
         exceeds = self._lasting(live, "current", much, _VOLTAGE_TIME)
         return self._lasting(live, "reverse", flows, _VOLTAGE_TIME) or exceeds
 
-    def _lasting(self, live: Live, name: str, problem: DockingError | None, longest: float) -> DockingError | None:
+    def _lasting(
+        self, live: Live, name: str, problem: codes.DockingError | None, longest: float
+    ) -> codes.DockingError | None:
         """Return a problem that lasts for more than so many seconds."""
         if problem is None:
             live.sound[name] = self._context.time
         return problem if self._context.time - live.sound[name] > longest else None
 
-    def _refusal(self, live: Live, refusal: str) -> DockingError | None:
+    def _refusal(self, live: Live, refusal: str) -> codes.DockingError | None:
         """Open at once; wait for charger_power to report the fault that may have caused the refusal."""
         context = self._context
         if not live.refused:
@@ -249,12 +247,12 @@ class Watches:
             return None
         return self._lost(f"the contactor's lease was not renewed: {live.refused}")
 
-    def _lost(self, how: str) -> DockingError:
+    def _lost(self, how: str) -> codes.DockingError:
         """Return the error of a contactor that another node opened: servo_node does so if a servo does not answer."""
         seen = self._context.observation
         return codes.PowerStale(how) if seen.servos_valid else seen.servo_silence()
 
-    def _voltages(self) -> DockingError | None:
+    def _voltages(self) -> codes.DockingError | None:
         """A voltage that is unknown or off for longer than a spike; the charger's battery may sag under load."""
         context, live = self._context, self._context.closing
         if live is None or not live.was_closed or context.profile is None:
@@ -265,16 +263,16 @@ class Watches:
         target = self._lasting(live, "target", target_problem(context, context.profile), _VOLTAGE_TIME)
         return self._lasting(live, "battery", battery, longest) or target
 
-    def _contact(self) -> DockingError | None:
+    def _contact(self) -> codes.DockingError | None:
         context = self._context
-        if context.closing is None or context.observation.servo_age > PRESS_AGE_MAX:
+        if context.closing is None or context.observation.servo_age > contact.PRESS_AGE_MAX:
             return None
         if why := context.evidence_lost:
             return codes.NoContact(f"{why} while the electrodes were live; the target moved")
         return None
 
 
-def _flows_back(flow: str, much: bool) -> DockingError:
+def _flows_back(flow: str, much: bool) -> codes.DockingError:
     """Return the error of a target that regenerates: unless much flowed, it may be tried again."""
     kind = codes.ReverseCurrent if much else codes.Regenerated
     return kind(f"{flow} out of the target: it brakes its wheels, or a second charger feeds it")
@@ -301,7 +299,7 @@ def welded(context: Context) -> codes.ContactorWelded:
     return codes.ContactorWelded(f"{how}: switch the charger's battery off by hand and replace the contactor{lasts}")
 
 
-def reason_not_to_close(context: Context) -> DockingError | None:
+def reason_not_to_close(context: Context) -> codes.DockingError | None:
     """Return why the contactor must not close now."""
     observation, parameters = context.observation, context.parameters
     if observation.power_age > parameters.age_max:
@@ -317,7 +315,7 @@ def reason_not_to_close(context: Context) -> DockingError | None:
     return unfit_servos(context)
 
 
-def unfit_servos(context: Context) -> DockingError | None:
+def unfit_servos(context: Context) -> codes.DockingError | None:
     """Return why the servos must not begin to hold live electrodes, if anything."""
     seen = context.observation
     measured = (context.contact.value, *seen.angles, *seen.currents)  # contact.value lags: a median
@@ -326,7 +324,7 @@ def unfit_servos(context: Context) -> DockingError | None:
     return servo_problem(context)
 
 
-def servo_problem(context: Context) -> DockingError | None:
+def servo_problem(context: Context) -> codes.DockingError | None:
     """Return why the servos must not hold live electrodes, if anything."""
     observation = context.observation
     if observation.servo_age > context.parameters.live_servo_age_max:
@@ -338,7 +336,7 @@ def servo_problem(context: Context) -> DockingError | None:
     return None
 
 
-def battery_problem(context: Context, low: float | None = None) -> DockingError | None:
+def battery_problem(context: Context, low: float | None = None) -> codes.DockingError | None:
     """Return why the charger's own battery must not be connected to the electrodes, if anything.
 
     Args:
@@ -355,7 +353,7 @@ def battery_problem(context: Context, low: float | None = None) -> DockingError 
     return codes.VoltageOutOfRange(f"the charger's own battery has {voltage:.1f} V, not {low} to {high} V: {cure}")
 
 
-def stage_problem(context: Context) -> DockingError | None:
+def stage_problem(context: Context) -> codes.DockingError | None:
     """Return why the power stage does not fit the target's profile, if it does not."""
     profile, name = context.profile, context.profile_name
     if profile is None:
@@ -368,10 +366,12 @@ def stage_problem(context: Context) -> DockingError | None:
     return None
 
 
-def target_problem(context: Context, profile: TargetProfile) -> DockingError | None:
+def target_problem(context: Context, profile: TargetProfile) -> codes.DockingError | None:
     """Return why the voltage of a target that is being charged forbids current, if it does."""
     voltage, high = context.observation.target_voltage, profile.full_voltage + _ABOVE
-    starts = profile.port == "dead" and context.status.state is State.ENERGISE  # its own voltage may still be missing
+    starts = (
+        profile.port == "dead" and context.status.state is codes.State.ENERGISE
+    )  # its own voltage may still be missing
     low = -math.inf if starts else profile.empty_voltage - _BELOW
     if not math.isfinite(voltage):
         return codes.PowerStale("the target's voltage is not measured; check the power stage's voltage divider")
@@ -399,15 +399,19 @@ def _power_silent() -> codes.PowerStale:
     return codes.PowerStale("charger_power stopped; check the board's cable and tactile_node")
 
 
-_BEFORE_MOVING = (State.LOCATE, State.APPROACH)  # in APPROACH, `prepare` waits before anything moves
-_TOUCHING = (State.CONTACT, State.MEASURE, State.ALIGN)
-LIVE = (State.ENERGISE, State.CHARGING, State.IDLE)  # IDLE: docked; live if the electrodes are wired to the battery
-_LIVE_PORT = (*_TOUCHING, State.ENERGISE, State.IDLE)  # from the touch until our contactor closes
-_ALL = (*_BEFORE_MOVING, *_TOUCHING, *LIVE, State.RETRACT)
-_APART = (State.APPROACH, State.RETRACT)
-_UNDER_TORQUE = (State.APPROACH, *_TOUCHING, *LIVE, State.RETRACT)
+_BEFORE_MOVING = (codes.State.LOCATE, codes.State.APPROACH)  # in APPROACH, `prepare` waits before anything moves
+_TOUCHING = (codes.State.CONTACT, codes.State.MEASURE, codes.State.ALIGN)
+LIVE = (
+    codes.State.ENERGISE,
+    codes.State.CHARGING,
+    codes.State.IDLE,
+)  # IDLE: docked; live if the electrodes are wired to the battery
+_LIVE_PORT = (*_TOUCHING, codes.State.ENERGISE, codes.State.IDLE)  # from the touch until our contactor closes
+_ALL = (*_BEFORE_MOVING, *_TOUCHING, *LIVE, codes.State.RETRACT)
+_APART = (codes.State.APPROACH, codes.State.RETRACT)
+_UNDER_TORQUE = (codes.State.APPROACH, *_TOUCHING, *LIVE, codes.State.RETRACT)
 
-WATCHES: tuple[tuple[Callable[[Watches], DockingError | None], tuple[State, ...], bool], ...] = (
+WATCHES: tuple[tuple[Callable[[Watches], codes.DockingError | None], tuple[codes.State, ...], bool], ...] = (
     (Watches._astray, _ALL, True),
     (Watches._unordered, _ALL, True),
     (Watches._live_in_air, _APART, True),
@@ -419,8 +423,8 @@ WATCHES: tuple[tuple[Callable[[Watches], DockingError | None], tuple[State, ...]
     (Watches._servos, LIVE, False),
     (Watches._pushes_too_hard, _ALL, False),
     (Watches._gives_way, _TOUCHING, False),
-    (Watches._does_not_follow, (State.CONTACT,), False),
-    (Watches._pads_silent, (State.APPROACH, *_TOUCHING, *LIVE), False),
+    (Watches._does_not_follow, (codes.State.CONTACT,), False),
+    (Watches._pads_silent, (codes.State.APPROACH, *_TOUCHING, *LIVE), False),
     (Watches._torque_lost, _UNDER_TORQUE, True),
     (Watches._power, LIVE, False),
     (Watches._voltages, LIVE, False),

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Errors of the driver. All derive from `DriverError`, carry their values and state what to do."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 MAYBE_SWAPPED = "whether the cables of servos and board are swapped: 'deltacharger doctor' tells which port is which"

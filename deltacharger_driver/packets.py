@@ -4,8 +4,6 @@
 What they mean is in board/protocol.py and servos/. Here is what a listener needs to tell which device is on a line.
 """
 
-from __future__ import annotations
-
 import functools
 import struct
 import zlib

@@ -4,30 +4,20 @@
 Sends only requests that are safe at any time: pings of servos, and HELLO to the board.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-from deltacharger_core.machine import BAUD_RATE, SERVO_IDS
-from deltacharger_core.servo_types import SPEEDS, model_name
+from deltacharger_core import machine, servo_types
+from deltacharger_driver import packets, ports
 from deltacharger_driver.board.protocol import POWER_RATE, PacketType
-from deltacharger_driver.packets import (
-    BROADCAST,
-    HEADER,
-    PING,
-    STATUS,
-    Packet,
-    PacketDecoder,
-    crc16,
-    encode_packet,
-    instruction_packet,
-)
-from deltacharger_driver.ports import RawPort, latency_timer
 
-SERVO_SPEEDS = (BAUD_RATE, 57600, *(speed for speed in SPEEDS.values() if speed not in (BAUD_RATE, 57600)))
+SERVO_SPEEDS = (
+    machine.BAUD_RATE,
+    57600,
+    *(speed for speed in servo_types.SPEEDS.values() if speed not in (machine.BAUD_RATE, 57600)),
+)
 """Every speed of a servo, the likely ones first, bit/s."""
 _PATIENCE = 0.05  # s; servos with ids up to about 15 answer a broadcast ping in this time
 _LISTEN = 2.4 / POWER_RATE  # s in which a board sends POWER at least twice
@@ -63,7 +53,7 @@ class FoundServo:
             return f"id {self.servo} at {self.speed} bit/s, garbled replies"
         if self.protocol == 1:
             return f"id {self.servo} at {self.speed} bit/s with Protocol 1.0"
-        return f"id {self.servo} at {self.speed} bit/s, {model_name(self.model)}, firmware {self.firmware}"
+        return f"id {self.servo} at {self.speed} bit/s, {servo_types.model_name(self.model)}, firmware {self.firmware}"
 
 
 @dataclass(frozen=True)
@@ -86,7 +76,7 @@ class PortIdentity:
 def identify(
     path: str,
     speeds: Iterable[int] = SERVO_SPEEDS,
-    ids: Iterable[int] = SERVO_IDS,
+    ids: Iterable[int] = machine.SERVO_IDS,
     patience: float = _PATIENCE,
 ) -> PortIdentity:
     """Identify the device on a port: listen, send HELLO, then ping servos at every speed.
@@ -101,10 +91,13 @@ def identify(
         PortMissing, PortNotSerial, PortBusy, PortDenied, PortError: the port cannot be opened.
         PortGone: it vanished while being identified.
     """
-    port = RawPort(path, BAUD_RATE)
+    port = ports.RawPort(path, machine.BAUD_RATE)
     try:
-        decoder = PacketDecoder()
-        decoder.feed(_receive(port, _LISTEN) + _exchange(port, encode_packet(Packet(PacketType.HELLO)), _HELLO_WAIT))
+        decoder = packets.PacketDecoder()
+        decoder.feed(
+            _receive(port, _LISTEN)
+            + _exchange(port, packets.encode_packet(packets.Packet(PacketType.HELLO)), _HELLO_WAIT)
+        )
         received = decoder.counters.bytes
         if decoder.counters.packets or decoder.counters.version_errors:
             return PortIdentity(path, "board", "the board")
@@ -118,7 +111,7 @@ def identify(
     return PortIdentity(path, "silent", "no answer at any speed")
 
 
-def _receive(port: RawPort, duration: float) -> bytes:
+def _receive(port: ports.RawPort, duration: float) -> bytes:
     """Return all bytes received within `duration` s."""
     received = bytearray()
     end = time.monotonic() + duration
@@ -127,19 +120,19 @@ def _receive(port: RawPort, duration: float) -> bytes:
     return bytes(received)
 
 
-def find_servos(port: RawPort, speeds: Iterable[int], ids: Iterable[int], patience: float) -> list[FoundServo]:
+def find_servos(port: ports.RawPort, speeds: Iterable[int], ids: Iterable[int], patience: float) -> list[FoundServo]:
     """Ping all servos at each speed; arguments as in `identify`. The port stays at the last speed.
 
     Raises:
         PortGone: the port vanished.
     """
     found: list[FoundServo] = []
-    latency = 2.0 * latency_timer(port.port)
+    latency = 2.0 * ports.latency_timer(port.port)
     ids = tuple(ids)
     for speed in speeds:
         port.set_speed(speed)
         wire = 10.0 * _PING_LENGTH / speed
-        port.write(instruction_packet(BROADCAST, PING))
+        port.write(packets.instruction_packet(packets.BROADCAST, packets.PING))
         found += _ping_replies(_receive(port, patience + latency + wire), speed)
         known = {servo.servo for servo in found if not servo.garbled}
         for servo in (servo for servo in ids if servo not in known):
@@ -147,11 +140,11 @@ def find_servos(port: RawPort, speeds: Iterable[int], ids: Iterable[int], patien
     return found
 
 
-def _ask_one(port: RawPort, servo: int, speed: int, wait: float) -> list[FoundServo]:
+def _ask_one(port: ports.RawPort, servo: int, speed: int, wait: float) -> list[FoundServo]:
     """Ping one servo that did not answer the broadcast ping: its reply was lost, or it supports only Protocol 1.0."""
     answers = 0
     for _ in range(_ATTEMPTS):
-        reply = _exchange(port, instruction_packet(servo, PING), wait)
+        reply = _exchange(port, packets.instruction_packet(servo, packets.PING), wait)
         found = [one for one in _ping_replies(reply, speed) if one.servo == servo]
         if found:
             return found
@@ -164,7 +157,7 @@ def _ask_one(port: RawPort, servo: int, speed: int, wait: float) -> list[FoundSe
     return [FoundServo(servo, speed, garbled=True)] if answers == _ATTEMPTS else []
 
 
-def _exchange(port: RawPort, question: bytes, wait: float) -> bytes:
+def _exchange(port: ports.RawPort, question: bytes, wait: float) -> bytes:
     """Send `question` and return the bytes received within `wait` s, without the echo that some adapters give."""
     port.write(question)
     return _receive(port, wait).replace(question, b"")
@@ -173,13 +166,13 @@ def _exchange(port: RawPort, question: bytes, wait: float) -> bytes:
 def _ping_replies(data: bytes, speed: int) -> list[FoundServo]:
     """Return the servos with an intact ping reply in `data`."""
     found = []
-    start = data.find(HEADER)
+    start = data.find(packets.HEADER)
     while start >= 0:
         reply = data[start : start + _PING_REPLY]
         length = int.from_bytes(reply[5:7], "little")
-        intact = len(reply) == _PING_REPLY and length == _PING_REPLY - 7 and reply[7] == STATUS
-        if intact and crc16(reply[:-2]) == int.from_bytes(reply[-2:], "little"):
+        intact = len(reply) == _PING_REPLY and length == _PING_REPLY - 7 and reply[7] == packets.STATUS
+        if intact and packets.crc16(reply[:-2]) == int.from_bytes(reply[-2:], "little"):
             model = int.from_bytes(reply[9:11], "little")
             found.append(FoundServo(reply[4], speed, model=model, firmware=reply[11]))
-        start = data.find(HEADER, start + 1)
+        start = data.find(packets.HEADER, start + 1)
     return found

@@ -10,8 +10,6 @@ transpose, τ = Jᵀ f. A limb's adjustment shifts D, v and w, replaces a and L,
 commanded one.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -12,8 +12,6 @@ Q of `deltacharger_kinematics.delta` have about 106 bits. The doubles of positio
 sin of 120° as −1/2 and ±√3/2. If the sign of Q is still undecided, exact arithmetic decides it.
 """
 
-from __future__ import annotations
-
 import math
 from fractions import Fraction
 from typing import Any

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Dimensions and limits of the inverted delta, YAML files of them, and the status of each solved point."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import dataclass
@@ -11,11 +9,8 @@ from numbers import Real
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from deltacharger_core.files import brief
-from deltacharger_core.machine import JOINT_MAX, JOINT_MIN
-from deltacharger_core.parameters import Bounded, ParameterError, number, numbers
-from deltacharger_core.texts import outside
-from deltacharger_core.yaml_file import YamlError, read_declared, write_yaml
+from deltacharger_core import files, machine, parameters, texts, yaml_file
+from deltacharger_core.parameters import number, numbers
 
 Vector = tuple[float, float, float]
 
@@ -30,7 +25,7 @@ SHORTEST, LONGEST = 1e-6, 1e6  # m; products of four lengths neither underflow n
 
 
 @dataclass(frozen=True)
-class LimbAdjustment(Bounded):
+class LimbAdjustment(parameters.Bounded):
     """Calibrated differences of one limb from the common dimensions (m, rad).
 
     Attributes:
@@ -77,7 +72,7 @@ class Limb(NamedTuple):
 
 
 @dataclass(frozen=True)
-class DeltaGeometry(Bounded):
+class DeltaGeometry(parameters.Bounded):
     """Dimensions (m, kg, rad) of the delta; the defaults reach the complete published workspace.
 
     The paper states the workspace (±60, ±60, 0…110 mm) and the platform's mass (274 g) but no link lengths, so every
@@ -97,8 +92,8 @@ class DeltaGeometry(Bounded):
     rod: float = number(0.180, SHORTEST, LONGEST, "m", "passive link, elbow to platform joint")
     platform_radius: float = number(0.050, SHORTEST, LONGEST, "m", "radius of the rods' joints on the platform")
     z_offset: float = number(0.095, -LONGEST, LONGEST, "m", "distance from the motor plane to z = 0 of charger_base")
-    joint_min: float = number(JOINT_MIN, -math.pi, math.pi, "rad", "smallest arm angle")
-    joint_max: float = number(JOINT_MAX, -math.pi, math.pi, "rad", "largest arm angle")
+    joint_min: float = number(machine.JOINT_MIN, -math.pi, math.pi, "rad", "smallest arm angle")
+    joint_max: float = number(machine.JOINT_MAX, -math.pi, math.pi, "rad", "largest arm angle")
     workspace_min: tuple[float, float, float] = numbers(
         (-0.060, -0.060, 0.0), -LONGEST, LONGEST, "m", "lower corner of the workspace in charger_base, x, y, z"
     )
@@ -119,13 +114,17 @@ class DeltaGeometry(Bounded):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.joint_min < self.joint_max:
-            raise ParameterError("joint_min", self.joint_min, f"{brief(self.joint_min)} is not below joint_max")
+            raise parameters.ParameterError(
+                "joint_min", self.joint_min, f"{files.brief(self.joint_min)} is not below joint_max"
+            )
         if not all(low < high for low, high in zip(self.workspace_min, self.workspace_max, strict=True)):
-            raise ParameterError(
-                "workspace_min", self.workspace_min, f"{brief(self.workspace_min)} is not below workspace_max"
+            raise parameters.ParameterError(
+                "workspace_min", self.workspace_min, f"{files.brief(self.workspace_min)} is not below workspace_max"
             )
         if not isinstance(self.limbs, tuple) or [type(limb) for limb in self.limbs] != LIMB_COUNT * [LimbAdjustment]:
-            raise ParameterError("limbs", self.limbs, f"{brief(self.limbs)}: give a tuple of three LimbAdjustment")
+            raise parameters.ParameterError(
+                "limbs", self.limbs, f"{files.brief(self.limbs)}: give a tuple of three LimbAdjustment"
+            )
 
     def limb(self, index: int) -> Limb:
         """Return the dimensions of limb `index` (0, 1 or 2) with its adjustment applied."""
@@ -151,12 +150,12 @@ LARGEST = 1.0  # m; a longer arm was written in millimetres
 
 def load_geometry(path: str | Path) -> DeltaGeometry:
     """Read a geometry file; errors as in `read_declared`."""
-    geometry = read_declared(path, DeltaGeometry)
+    geometry = yaml_file.read_declared(path, DeltaGeometry)
     lengths = {name: getattr(geometry, name) for name in ("base_radius", "arm", "rod", "platform_radius", "z_offset")}
     far = max(map(abs, (*geometry.workspace_min, *geometry.workspace_max)))
     for name, value in (*lengths.items(), ("workspace_min and workspace_max", far)):
-        if problem := outside(value, -LARGEST, LARGEST, "m"):
-            raise YamlError(path, f"'{name}': {problem}")
+        if problem := texts.outside(value, -LARGEST, LARGEST, "m"):
+            raise yaml_file.YamlError(path, f"'{name}': {problem}")
     return geometry
 
 
@@ -166,7 +165,7 @@ def save_geometry(geometry: DeltaGeometry, path: str | Path, comment: str = "") 
     Raises:
         OSError: the file cannot be written.
     """
-    write_yaml(path, geometry_to_mapping(geometry), comment)
+    yaml_file.write_yaml(path, geometry_to_mapping(geometry), comment)
 
 
 def geometry_to_mapping(geometry: DeltaGeometry) -> dict[str, Any]:

@@ -27,12 +27,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from deltacharger_core.frames import CHARGER_BASE, END_EFFECTOR, FrameParameters
-from deltacharger_core.ros import node_support
-from deltacharger_core.ros.clock import steady_timer
-from deltacharger_core.ros.log import Log
-from deltacharger_core.ros.on_demand import PolledTopic
-from deltacharger_core.ros.parameters import declare_all, declare_file, declare_with_servos, reject_unknown
-from deltacharger_core.ros.qos import SERVICE
+from deltacharger_core.ros import clock, log, node_support, on_demand, parameters, qos
 from deltacharger_kinematics import Delta
 from deltacharger_kinematics.geometry import DeltaGeometry, load_geometry
 from deltacharger_kinematics.parameters import SERVOS_FOLLOW, GeometryFileParameters, KinematicsNodeParameters
@@ -49,35 +44,35 @@ class KinematicsNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("kinematics_node", **kwargs)
-        self._log = Log(self)
-        geometry = declare_file(self, GeometryFileParameters, load_geometry) or DeltaGeometry()
-        given = declare_with_servos(self, KinematicsNodeParameters(), SERVOS_FOLLOW)
-        frames = declare_all(self, FrameParameters)
+        self._log = log.Log(self)
+        geometry = parameters.declare_file(self, GeometryFileParameters, load_geometry) or DeltaGeometry()
+        given = parameters.declare_with_servos(self, KinematicsNodeParameters(), SERVOS_FOLLOW)
+        frames = parameters.declare_all(self, FrameParameters)
         self._charger_base, self._end_effector = frames.named(CHARGER_BASE), frames.named(END_EFFECTOR)
-        reject_unknown(self)
+        parameters.reject_unknown(self)
         self._gravity, self._torque_constant = given.gravity, given.torque_constant
         self._delta = Delta(geometry)
         self._scalar = ScalarDelta(geometry)
         self._pose = self.create_publisher(PoseStamped, "end_effector_pose", _DEFAULT_DEPTH)
         self._wrench = self.create_publisher(WrenchStamped, "contact_wrench", _DEFAULT_DEPTH)
-        self._servo_state = PolledTopic(
+        self._servo_state = on_demand.PolledTopic(
             self, ServoState, "servo_state", QoSProfile(depth=1), callback=self._on_servo_state
         )
-        steady_timer(self, _CHECK_PERIOD, self._subscribe_on_demand)
+        clock.steady_timer(self, _CHECK_PERIOD, self._subscribe_on_demand)
         group = ReentrantCallbackGroup()
         self.create_service(
             SolveInverseKinematics,
             "solve_inverse_kinematics",
             self._on_inverse,
             callback_group=group,
-            qos_profile=SERVICE,
+            qos_profile=qos.SERVICE,
         )
         self.create_service(
             SolveForwardKinematics,
             "solve_forward_kinematics",
             self._on_forward,
             callback_group=group,
-            qos_profile=SERVICE,
+            qos_profile=qos.SERVICE,
         )
 
     def close(self) -> None:

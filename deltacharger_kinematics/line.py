@@ -14,8 +14,6 @@ and ṡ = s'(u)/T gives the rates in time. Speeds scale with 1/T and acceleratio
 every limit without a search.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import TypeVar
@@ -23,17 +21,21 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from deltacharger_core.arrays import Array, Mask
-from deltacharger_core.machine import JOINT_SPEED
+from deltacharger_core import arrays, machine
+from deltacharger_kinematics import geometry, solve
 from deltacharger_kinematics.delta import Delta, as_vectors
-from deltacharger_kinematics.geometry import NO_ANSWER, Status, Vector
-from deltacharger_kinematics.solve import LimbArrays
 
-REFUSED = NO_ANSWER | Status.WRONG_ASSEMBLY | Status.NEAR_TYPE_2 | Status.JOINT_LIMIT | Status.SWING_LIMIT
+REFUSED = (
+    geometry.NO_ANSWER
+    | geometry.Status.WRONG_ASSEMBLY
+    | geometry.Status.NEAR_TYPE_2
+    | geometry.Status.JOINT_LIMIT
+    | geometry.Status.SWING_LIMIT
+)
 """Statuses refused for points of a line. Points outside the workspace box and near the edge of reach
 (NEAR_TYPE_1) are allowed, because the platform is still held firmly there."""
 
-T = TypeVar("T", float, Array)
+T = TypeVar("T", float, arrays.Array)
 
 PEAK_SPEED = 1.875  # ds/du at u = 1/2, its maximum
 _CHECKED = 512  # intervals at which limits are checked: at most 0.4 % of the line apart
@@ -42,7 +44,7 @@ _INTERVAL, _FEWEST = 0.02, 2  # s, longest time between two points; least number
 _STRETCHED = 1e-5  # margin (about 1 µm from the edge of reach) below which an arm's acceleration is unbounded
 
 
-ARM_SPEED, ARM_ACCELERATION = JOINT_SPEED, 25.0
+ARM_SPEED, ARM_ACCELERATION = machine.JOINT_SPEED, 25.0
 """Limits of the arms (rad/s, rad/s²); they fit this charger's MX-64 at 12 V.
 
 speed: no-load speed 63 rpm = 6.60 rad/s, stall torque 6.0 N·m (vendor's e-manual). With 1.49 N·m (heaviest pose
@@ -67,11 +69,11 @@ class Line:
         accelerations: (n, 3) rad/s².
     """
 
-    times: Array
-    positions: Array
-    angles: Array
-    velocities: Array
-    accelerations: Array
+    times: arrays.Array
+    positions: arrays.Array
+    angles: arrays.Array
+    velocities: arrays.Array
+    accelerations: arrays.Array
 
     @property
     def duration(self) -> float:
@@ -88,7 +90,7 @@ class LineRefused(ValueError):
         share: share of the line before it, 0 to 1.
     """
 
-    def __init__(self, status: Status, position: Vector, share: float) -> None:
+    def __init__(self, status: geometry.Status, position: geometry.Vector, share: float) -> None:
         self.status, self.position, self.share = status, position, share
         place = ", ".join(f"{1000 * value:.5g}" for value in position)
         what = status.name or repr(status)
@@ -140,7 +142,7 @@ def way_done(share: T) -> T:
 class _Motion:
     """The line at time shares u (n,): positions, angles, and their first two derivatives by u."""
 
-    def __init__(self, delta: Delta, start: Array, goal: Array, u: Array) -> None:
+    def __init__(self, delta: Delta, start: arrays.Array, goal: arrays.Array, u: arrays.Array) -> None:
         done = way_done(u)[:, None]
         self.positions = (1.0 - done) * start + done * goal
         solved = delta.inverse(self.positions)
@@ -149,26 +151,28 @@ class _Motion:
         self._refuse(status, (status & np.uint32(REFUSED)) != 0, done)
         turned = np.zeros(len(u), dtype=bool)  # past ±π the angle wraps to the other side, and the arm would turn back
         turned[1:] = (np.abs(np.diff(self.angles, axis=0)) > math.pi).any(axis=1)
-        self._refuse(status | np.uint32(Status.JOINT_LIMIT), turned, done)
-        self._refuse(status | np.uint32(Status.NEAR_TYPE_1), np.asarray(solved.margin) < _STRETCHED, done)
+        self._refuse(status | np.uint32(geometry.Status.JOINT_LIMIT), turned, done)
+        self._refuse(status | np.uint32(geometry.Status.NEAR_TYPE_1), np.asarray(solved.margin) < _STRETCHED, done)
         slope, bend = _derivatives(delta, self.positions, self.angles, goal - start)
         speed = (30.0 * u**2 * (1.0 - u) ** 2)[:, None]
         self.velocities = slope * speed
         self.accelerations = bend * speed**2 + slope * (60.0 * u * (1.0 - u) * (1.0 - 2.0 * u))[:, None]
 
-    def _refuse(self, status: NDArray[np.uint32], bad: Mask, done: Array) -> None:
+    def _refuse(self, status: NDArray[np.uint32], bad: arrays.Mask, done: arrays.Array) -> None:
         indices = np.flatnonzero(bad)
         if len(indices):
             x, y, z = self.positions[indices[0]].tolist()
-            raise LineRefused(Status(int(status[indices[0]])), (x, y, z), float(done[indices[0], 0]))
+            raise LineRefused(geometry.Status(int(status[indices[0]])), (x, y, z), float(done[indices[0], 0]))
 
 
-def _derivatives(delta: Delta, positions: Array, angles: Array, direction: Array) -> tuple[Array, Array]:
+def _derivatives(
+    delta: Delta, positions: arrays.Array, angles: arrays.Array, direction: arrays.Array
+) -> tuple[arrays.Array, arrays.Array]:
     """Return dθ/ds and d²θ/ds² (n, 3) along p' = `direction` (3,) at `positions` (n, 3) with arm `angles` (n, 3).
 
     In each limb's axes (outward, across, ahead) c' = a (−sin θ, 0, cos θ) and c'' = −a (cos θ, 0, sin θ).
     """
-    limbs = LimbArrays(delta.geometry)
+    limbs = solve.LimbArrays(delta.geometry)
     cosine, sine, arm = limbs.cosine, limbs.sine, limbs.arm
     (x, y, z), (dx, dy, dz) = positions.T, direction
     outward, across = cosine * dx + sine * dy, cosine * dy - sine * dx

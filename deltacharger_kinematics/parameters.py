@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters for the arm's dimensions, used by several nodes, and parameters of kinematics_node."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from deltacharger_core.machine import GRAVITY, TORQUE_CONSTANT

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Joints without a motor, as the URDF names them: universal joints of the rods, and the platform's translation."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -5,8 +5,6 @@ numpy costs 30–100 µs for any single point, this module a few µs. The formul
 `deltacharger_kinematics.delta`; a test compares both.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from math import atan2, cos, sin, sqrt

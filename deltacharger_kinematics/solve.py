@@ -7,8 +7,6 @@ small relative to the terms whose difference it is. There the plain angle loses 
 rounding may change the sign of Q, which decides whether the point is reachable.
 """
 
-from __future__ import annotations
-
 import threading
 from typing import NamedTuple
 

@@ -5,8 +5,6 @@ With a goal that stands, the servo's own current gives Kt I = k (goal − angle)
 and d follow by least squares. Nothing else brakes in mode 5: d comes from the D gain alone.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -8,8 +8,6 @@ overlap: the next one replaces the last long before its end. A late piece contin
 so the goal never jumps or skips, however long the pause.
 """
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_left
 from dataclasses import dataclass

@@ -1,24 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The electrodes' exact contact, the circuit of battery, power stage and contactor, and kinds of charging ports."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from functools import cached_property
 from typing import Any
 
-from deltacharger_core import environment
-from deltacharger_core.machine import BAR_GAP, BAR_HEIGHT, BAR_LENGTH, LIVE_VOLTAGE
-from deltacharger_core.yaml_file import read_yaml
-from deltacharger_sim.emulators.power import (
-    BATTERY_RESISTANCE,
-    Outputs,
-    PortParameters,
-    StageParameters,
-    StageReading,
-    TargetPort,
-)
+from deltacharger_core import environment, machine, yaml_file
+from deltacharger_sim.emulators import power
 from deltacharger_sim.parameters import CircuitParameters
 from deltacharger_sim.touch import Bars
 
@@ -37,7 +26,7 @@ class Overlap:
     def __init__(self, x: float, y: float, angle: float) -> None:
         self._cosine, self._sine = math.cos(angle), math.sin(angle)
         # From one bar's centre to the wrong bar's; the target's bars are offset along its own turned y.
-        pitch = 0.5 * (BAR_GAP + BAR_HEIGHT)
+        pitch = 0.5 * (machine.BAR_GAP + machine.BAR_HEIGHT)
         across_x, across_y = self._sine * pitch, -pitch - self._cosine * pitch
         self._down, self._up = (x + across_x, y + across_y), (x - across_x, y - across_y)
         # From one bar's centre to its mate's: upper to upper, lower to lower.
@@ -52,7 +41,7 @@ class Overlap:
     @property
     def fraction(self) -> float:
         """The overlap relative to full overlap."""
-        return self.area / (2.0 * BAR_LENGTH * BAR_HEIGHT)
+        return self.area / (2.0 * machine.BAR_LENGTH * machine.BAR_HEIGHT)
 
     @cached_property
     def clearance(self) -> float:
@@ -78,8 +67,8 @@ def _common(x: float, y: float, cosine: float, sine: float) -> float:
     The second is clipped at the first's four sides (Sutherland–Hodgman).
     """
     if sine == 0.0 and cosine > 0.0:
-        return max(BAR_LENGTH - abs(x), 0.0) * max(BAR_HEIGHT - abs(y), 0.0)
-    half_x, half_y = 0.5 * BAR_LENGTH, 0.5 * BAR_HEIGHT
+        return max(machine.BAR_LENGTH - abs(x), 0.0) * max(machine.BAR_HEIGHT - abs(y), 0.0)
+    half_x, half_y = 0.5 * machine.BAR_LENGTH, 0.5 * machine.BAR_HEIGHT
     along_x, along_y, across_x, across_y = half_x * cosine, half_x * sine, -half_y * sine, half_y * cosine
     polygon = [
         (x - along_x - across_x, y - along_y - across_y),
@@ -118,7 +107,7 @@ def _cut(polygon: Polygon, inside: list[float]) -> Polygon:
 def _separation(x: float, y: float, cosine: float, sine: float) -> float:
     """Return the largest gap (m) along an edge normal of two bars, the second's centre at (x, y) m, turned; < 0
     overlap."""
-    half_x, half_y = 0.5 * BAR_LENGTH, 0.5 * BAR_HEIGHT
+    half_x, half_y = 0.5 * machine.BAR_LENGTH, 0.5 * machine.BAR_HEIGHT
     wide = half_x + half_x * abs(cosine) + half_y * abs(sine)
     high = half_y + half_x * abs(sine) + half_y * abs(cosine)
     along, across = cosine * x + sine * y, cosine * y - sine * x
@@ -151,13 +140,13 @@ class Circuit:
     def __init__(
         self,
         parameters: CircuitParameters,
-        port: PortParameters | None = None,
-        stage: StageParameters | None = None,
+        port: power.PortParameters | None = None,
+        stage: power.StageParameters | None = None,
     ) -> None:
-        self._parameters, self._stage = parameters, stage or StageParameters()
-        self.port = TargetPort(port or PortParameters())
+        self._parameters, self._stage = parameters, stage or power.StageParameters()
+        self.port = power.TargetPort(port or power.PortParameters())
         self.wired = parameters.wired
-        self._outputs = Outputs()
+        self._outputs = power.Outputs()
         self._precharged = self._pulled = math.inf  # s until output and contacts reach their state
         self._stuck = self.closed = False
         self._overlap: Overlap | None = None
@@ -167,7 +156,7 @@ class Circuit:
         self.current = 0.0
         self.broken_current = 0.0
 
-    def drive(self, outputs: Outputs) -> None:
+    def drive(self, outputs: power.Outputs) -> None:
         """Take the board's orders."""
         before, self._outputs = self._outputs, outputs
         if outputs.precharge != before.precharge:
@@ -221,8 +210,8 @@ class Circuit:
         parameters = self._parameters
         if self.wired:
             return parameters.battery_voltage - parameters.battery_resistance * self.current
-        power = 0.0 if self._shorted or not self.closed else max(self.current * self._shown / _EFFICIENCY, 0.0)
-        return parameters.battery_voltage - parameters.battery_resistance * power / parameters.battery_voltage
+        drawn = 0.0 if self._shorted or not self.closed else max(self.current * self._shown / _EFFICIENCY, 0.0)
+        return parameters.battery_voltage - parameters.battery_resistance * drawn / parameters.battery_voltage
 
     def _step_wired(self, dt: float) -> None:
         """Let the batteries drive the current, in either direction; parting electrodes interrupt it."""
@@ -239,16 +228,18 @@ class Circuit:
             return parameters.battery_voltage / parameters.battery_resistance
         if math.isinf(self._resistance) or not port.accepts:
             return 0.0
-        loop = parameters.battery_resistance + self._resistance + BATTERY_RESISTANCE
+        loop = parameters.battery_resistance + self._resistance + power.BATTERY_RESISTANCE
         return (parameters.battery_voltage - self.port.voltage) / loop
 
-    def read_power(self) -> StageReading:
+    def read_power(self) -> power.StageReading:
         """Return what the board measures; NaN where nothing is connected, or without a power stage."""
         if self.wired:
-            return StageReading(math.nan, math.nan, math.nan, math.nan, False)
+            return power.StageReading(math.nan, math.nan, math.nan, math.nan, False)
         target = self._target()
         output = target if self.closed or self._precharged <= 0.0 else 0.0
-        return StageReading(self._battery, target, 0.0 if math.isnan(output) else output, self.current, self.closed)
+        return power.StageReading(
+            self._battery, target, 0.0 if math.isnan(output) else output, self.current, self.closed
+        )
 
     def _target(self) -> float:
         if math.isinf(self._resistance):
@@ -275,7 +266,7 @@ class Circuit:
     @property
     def port_shorted(self) -> bool:
         """Whether a bar bridges a live port, which shorts the target's battery whatever the contactor does."""
-        return self._shorted and abs(self.port.undriven) >= LIVE_VOLTAGE
+        return self._shorted and abs(self.port.undriven) >= machine.LIVE_VOLTAGE
 
     @property
     def _shorted(self) -> bool:
@@ -314,7 +305,7 @@ class Circuit:
         return 0.5 * (self._parameters.contact_resistance / spots)
 
 
-TARGET_KINDS: Mapping[str, Mapping[str, Any]] = read_yaml(environment.config("target_kinds.yaml")[0])
+TARGET_KINDS: Mapping[str, Mapping[str, Any]] = yaml_file.read_yaml(environment.config("target_kinds.yaml")[0])
 """Kinds of charging ports, by name."""
 
 

@@ -14,8 +14,6 @@ contact has settled or the sub-steps are used up: a rebound that nothing drives 
 Electrodes and stop are undamped springs, so that stiff ones rebound; only servos and gears damp. Play is ignored.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -25,18 +25,15 @@ What gives way around the arm: the cable at the platform, and the two robots on 
 Both use radial return, as the gears' friction does: a spring whose force is cut back to what its friction holds.
 """
 
-from __future__ import annotations
-
 import math
 from math import atan2, cos, sin, sqrt
 
 from deltacharger_core.machine import GRAVITY_STRENGTH
 from deltacharger_kinematics.geometry import LIMB_COUNT, LIMB_DIRECTIONS, DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_sim import motion, touch
 from deltacharger_sim.impact import StepForces, make_impact
-from deltacharger_sim.motion import Motion
 from deltacharger_sim.parameters import CableParameters, StandParameters, WorldParameters
-from deltacharger_sim.touch import TargetTouch
 
 Rows = tuple[Vector, Vector, Vector]
 Turns = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
@@ -237,7 +234,7 @@ _Joint = tuple[float, float, float, float, float, float, float, float, float, fl
 _Balance = tuple[float, float, float, float, float, float, float, float, float]
 
 
-class Mechanics(Motion):
+class Mechanics(motion.Motion):
     """Three degrees of freedom of the charger against a target.
 
     Attributes:
@@ -258,7 +255,7 @@ class Mechanics(Motion):
                 (0.5 * geometry.rod_mass * geometry.limb(index).arm, LIMB_DIRECTIONS[index]) for index in range(3)
             )
         )
-        self._touch = TargetTouch(parameters)
+        self._touch = touch.TargetTouch(parameters)
         self._impact = make_impact(parameters)
         self._play = 0.5 * parameters.servo.backlash
         self._cable = Cable(parameters.cable, start) if parameters.cable.acts else None

@@ -1,16 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Interface of a world to the model that moves its arm: the light model, or MuJoCo."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
-from deltacharger_sim.pads import Lean
+from deltacharger_sim import pads, touch
 from deltacharger_sim.parameters import WorldParameters
-from deltacharger_sim.touch import Bars, tilts
 
 
 class TargetFixed(RuntimeError):
@@ -29,7 +26,7 @@ class TargetFixed(RuntimeError):
 
 
 _NONE: Vector = (0.0, 0.0, 0.0)
-_UNTOUCHED = Bars.flat(0.0)
+_UNTOUCHED = touch.Bars.flat(0.0)
 
 
 class Motion(ABC):
@@ -68,7 +65,7 @@ class Motion(ABC):
         self._shift = _NONE  # m, of the target from its parameters as the robots yield
         self._inputs: tuple[object, ...] = ()  # of the last step, in the model's form
         self.tilt = (0.0, 0.0)
-        self._leans = tilts(parameters)
+        self._leans = touch.tilts(parameters)
         self._bars = _UNTOUCHED
         self.contact_force = self.peak_force = self.magnet_force = self.imbalance = 0.0
         self.still = False
@@ -99,18 +96,18 @@ class Motion(ABC):
         return self._shift
 
     @property
-    def lean(self) -> Lean | None:
+    def lean(self) -> pads.Lean | None:
         """Lean of the platform against the target; None if the platform is rigid and the target does not lean."""
         if not self._leans:
             return None
         (alpha, beta), target = self.tilt, self._parameters.target
-        return Lean((alpha - target.tilt_x, beta - target.tilt_y), (-target.tilt_x, -target.tilt_y))
+        return pads.Lean((alpha - target.tilt_x, beta - target.tilt_y), (-target.tilt_x, -target.tilt_y))
 
     @property
-    def bars(self) -> Bars:
+    def bars(self) -> touch.Bars:
         """Forces on the bars."""
         if not self._leans and self._bars.upper != 0.5 * self.contact_force:
-            self._bars = Bars.flat(self.contact_force)
+            self._bars = touch.Bars.flat(self.contact_force)
         return self._bars
 
     @property

@@ -23,11 +23,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_core.arrays import Array, Mask
-from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, FRAME_RATE, PADS, ROWS
+from deltacharger_core import arrays, machine
+from deltacharger_tactile import dataset, errors
 from deltacharger_tactile.contact import ContactModel, Waviness
-from deltacharger_tactile.dataset import SUBSET_ANGLE, SUBSET_CONTINUOUS, SUBSET_POSITION, VERSION, Dataset
-from deltacharger_tactile.errors import DatasetError
 from deltacharger_tactile.parameters import (
     ANGLE_CLASSES,
     ANGLE_LIMIT,
@@ -56,7 +54,7 @@ class Lean(NamedTuple):
     free: Turn = (0.0, 0.0)
 
 
-def approach(turn: Turn) -> Array:
+def approach(turn: Turn) -> arrays.Array:
     """Convert a turn of a lean to the signs of contact models (2,), rad: about x brings +y closer, about y +x.
 
     A right-handed turn about y moves +x away.
@@ -79,7 +77,9 @@ class PadSource(ABC):
         self._random = random
         self._contact: Any = None
         self._last: float | None = None  # s, time of the last frame
-        self._pressed: tuple[tuple[Pose, float, Lean | None], Array] | None = None  # arguments and forces on taxels
+        self._pressed: tuple[tuple[Pose, float, Lean | None], arrays.Array] | None = (
+            None  # arguments and forces on taxels
+        )
 
     def begin_docking(self) -> Pose:
         """Start a new contact with new random values.
@@ -92,7 +92,9 @@ class PadSource(ABC):
         x, y, angle = self._contact.jitter[0]
         return float(x), float(y), float(angle)
 
-    def sample(self, time: float, pose: Pose | None, force: float, lean: Lean | None = None) -> tuple[Array, Array]:
+    def sample(
+        self, time: float, pose: Pose | None, force: float, lean: Lean | None = None
+    ) -> tuple[arrays.Array, arrays.Array]:
         """Read both pads once; arguments as in `frames`.
 
         Returns:
@@ -104,7 +106,7 @@ class PadSource(ABC):
     @abstractmethod
     def frames(
         self, time: float, pose: Pose | None, force: float, count: int, period: float, lean: Lean | None = None
-    ) -> Array:
+    ) -> arrays.Array:
         """Return `count` frames (count, 2, 10, 10) N raw at one pose, `period` (s) apart, the last at `time`.
 
         Args:
@@ -121,13 +123,13 @@ class PadSource(ABC):
         """Draw a new contact, whose `jitter` (N, 3) displaces the relative pose (x, y, angle), m and rad."""
 
     @abstractmethod
-    def _solve(self, contact: Any, pose: Array, force: float, lean: Lean | None) -> Array:
+    def _solve(self, contact: Any, pose: arrays.Array, force: float, lean: Lean | None) -> arrays.Array:
         """Return the forces on the taxels (1, 2, 10, 10) N at a pose (1, 3)."""
 
     def _end_contact(self) -> None:
         self._contact = self._pressed = None
 
-    def _press(self, pose: Pose | None, force: float, lean: Lean | None) -> Array | None:
+    def _press(self, pose: Pose | None, force: float, lean: Lean | None) -> arrays.Array | None:
         """Return the forces on the taxels (1, 2, 10, 10) N; None without contact."""
         if pose is None:
             self._end_contact()
@@ -154,10 +156,10 @@ class Rig:
         waviness: the target's ridges.
     """
 
-    gain: Array
-    offset: Array
-    dead: Mask
-    tilt: Array
+    gain: arrays.Array
+    offset: arrays.Array
+    dead: arrays.Mask
+    tilt: arrays.Array
     magnets: float
     waviness: Waviness
 
@@ -166,7 +168,7 @@ class Rig:
         """Draw a device; the same seed gives the same device."""
         random = np.random.default_rng([0x7A9, seed])
         sensor, docking = parameters.sensor, parameters.docking
-        dead = np.zeros(PADS * ROWS * COLUMNS, dtype=bool)
+        dead = np.zeros(machine.PADS * machine.ROWS * machine.COLUMNS, dtype=bool)
         dead[random.permutation(dead.size)[: sensor.dead_taxels]] = True
         return Rig(
             gain=np.clip(1.0 + sensor.gain_spread * random.standard_normal(SHAPE), 0.3, 2.0),
@@ -189,10 +191,10 @@ class Dockings:
         offset: (N, 2, 10, 10) N.
     """
 
-    jitter: Array
-    tilt: Array
-    hysteresis: Array
-    offset: Array
+    jitter: arrays.Array
+    tilt: arrays.Array
+    hysteresis: arrays.Array
+    offset: arrays.Array
 
     @staticmethod
     def draw(parameters: TactileParameters, random: np.random.Generator, count: int = 1) -> Dockings:
@@ -202,11 +204,11 @@ class Dockings:
         return Dockings(
             jitter=spread * random.standard_normal((count, 3)),
             tilt=docking.tilt_spread * random.standard_normal((count, 2)),
-            hysteresis=np.clip(sensor.hysteresis * random.standard_normal((count, PADS)), -0.5, 0.5),
+            hysteresis=np.clip(sensor.hysteresis * random.standard_normal((count, machine.PADS)), -0.5, 0.5),
             offset=sensor.docking_offset * random.standard_normal((count, *SHAPE)),
         )
 
-    def tilts(self, parameters: TactileParameters, rig: Rig, pose: Array) -> Array:
+    def tilts(self, parameters: TactileParameters, rig: Rig, pose: arrays.Array) -> arrays.Array:
         """Tilt (N, 2) of each docking at its pose (N, 3): off-centre contact tilts the end effector."""
         per = np.array([parameters.docking.tilt_per_y, parameters.docking.tilt_per_x])
         return np.asarray(rig.tilt + per * pose[:, 1::-1] + self.tilt)
@@ -224,7 +226,9 @@ class Sensor:
         self._top = parameters.full_scale + parameters.pedestal
         self._share = (math.sqrt(1.0 - parameters.noise_memory), math.sqrt(parameters.noise_memory))
 
-    def read(self, force: Array | None, docking: Dockings | None, contact_time: Array | float, step: float) -> Array:
+    def read(
+        self, force: arrays.Array | None, docking: Dockings | None, contact_time: arrays.Array | float, step: float
+    ) -> arrays.Array:
         """Read both pads once.
 
         Args:
@@ -239,7 +243,9 @@ class Sensor:
         signal = self._respond(force, docking, contact_time)
         return self._digitise(signal + self._noise(force, (step,))[0])
 
-    def course(self, force: Array | None, docking: Dockings | None, times: Array, steps: Sequence[float]) -> Array:
+    def course(
+        self, force: arrays.Array | None, docking: Dockings | None, times: arrays.Array, steps: Sequence[float]
+    ) -> arrays.Array:
         """Read both pads of one docking T times, like T calls of `read` but much faster.
 
         Args:
@@ -254,7 +260,9 @@ class Sensor:
         signal = self._respond(force, docking, times)
         return self._digitise(signal + self._noise(force, steps)[:, 0])
 
-    def _respond(self, force: Array | None, docking: Dockings | None, contact_time: Array | float) -> Array:
+    def _respond(
+        self, force: arrays.Array | None, docking: Dockings | None, contact_time: arrays.Array | float
+    ) -> arrays.Array:
         p = self._parameters
         base = self._rig.offset + p.pedestal
         if docking is not None:
@@ -267,11 +275,11 @@ class Sensor:
             factor = factor * (1.0 + docking.hysteresis)
         signal = force * factor[:, :, None, None] * self._rig.gain
         # Sums are faster: means of so few numbers take half as long again.
-        rows = np.add.reduce(signal, axis=-1, keepdims=True) / COLUMNS
-        columns = np.add.reduce(signal, axis=-2, keepdims=True) / ROWS
+        rows = np.add.reduce(signal, axis=-1, keepdims=True) / machine.COLUMNS
+        columns = np.add.reduce(signal, axis=-2, keepdims=True) / machine.ROWS
         return np.asarray(signal + p.cross_talk * (rows + columns) + base)
 
-    def _noise(self, force: Array | None, steps: Sequence[float]) -> Array:
+    def _noise(self, force: arrays.Array | None, steps: Sequence[float]) -> arrays.Array:
         """Return the noise (T, N, 2, 10, 10) N of T readings."""
         p = self._parameters
         normal = self._random.standard_normal((len(steps), 2, *self._slow.shape))
@@ -283,7 +291,7 @@ class Sensor:
             now += self._share[1] * self._slow
         return np.asarray(unit * (p.noise if force is None else p.noise + p.noise_gain * np.abs(force)))
 
-    def _digitise(self, signal: Array) -> Array:
+    def _digitise(self, signal: arrays.Array) -> arrays.Array:
         """Quantise a signal (N) in place; NaN where a taxel is dead."""
         quantum = self._top / self._levels
         signal.clip(0.0, self._top, out=signal)
@@ -321,13 +329,13 @@ class ContactSource(PadSource):
 
     def frames(
         self, time: float, pose: Pose | None, force: float, count: int, period: float, lean: Lean | None = None
-    ) -> Array:
+    ) -> arrays.Array:
         """Return frames (count, 2, 10, 10) N raw; arguments as in `PadSource.frames`."""
         pressed = self._press(pose, force, lean)
         times = time - period * np.arange(count - 1, -1, -1)
         if pressed is not None and self._began is None:
             self._began = float(times[0])
-        first = 1.0 / FRAME_RATE if self._last is None else float(times[0]) - self._last
+        first = 1.0 / machine.FRAME_RATE if self._last is None else float(times[0]) - self._last
         self._last = time
         in_contact = times - (times[0] if self._began is None else self._began)
         return self._sensor.course(pressed, self._contact, in_contact, (first, *[period] * (count - 1)))
@@ -339,7 +347,7 @@ class ContactSource(PadSource):
         super()._end_contact()
         self._began = None
 
-    def _solve(self, contact: Dockings, pose: Array, force: float, lean: Lean | None) -> Array:
+    def _solve(self, contact: Dockings, pose: arrays.Array, force: float, lean: Lean | None) -> arrays.Array:
         tilt = contact.tilts(self.parameters, self.rig, pose)
         if lean is not None:
             tilt = tilt + approach(lean.residual)
@@ -356,8 +364,8 @@ def generate_paper(
     rigs: Sequence[int] = (0,),
     seed: int = 0,
     frames: int = 1,
-    threshold: float = CONTACT_FORCE,
-) -> Dataset:
+    threshold: float = machine.CONTACT_FORCE,
+) -> dataset.Dataset:
     """Generate the paper's protocol on each rig: 600 dockings by angle and 500 by position.
 
     Angle set: 0, 1, … 5° × 100 dockings. Start positions vary over ±20 mm in 4 mm steps; a tenth of that is assumed to
@@ -373,7 +381,10 @@ def generate_paper(
     """
     random = np.random.default_rng([0x9A9E, seed])
     grid = np.array([(x, y) for x in POSITION_CLASSES for y in POSITION_CLASSES])
-    poses, subset = [], np.repeat([SUBSET_ANGLE, SUBSET_POSITION], [100 * ANGLE_CLASSES, 20 * len(grid)])
+    poses, subset = (
+        [],
+        np.repeat([dataset.SUBSET_ANGLE, dataset.SUBSET_POSITION], [100 * ANGLE_CLASSES, 20 * len(grid)]),
+    )
     for _ in rigs:
         classes = np.repeat(np.arange(ANGLE_CLASSES), 100)
         start = 0.1 * 0.004 * random.integers(-5, 6, (len(classes), 2))
@@ -389,10 +400,10 @@ def generate_continuous(
     count: int = 400,
     seed: int = 0,
     frames: int = 1,
-    threshold: float = CONTACT_FORCE,
+    threshold: float = machine.CONTACT_FORCE,
     position_limit: float = POSITION_LIMIT,
     angle_limit: float = ANGLE_LIMIT,
-) -> Dataset:
+) -> dataset.Dataset:
     """Generate signed poses, uniform over ±position_limit and ±angle_limit.
 
     Args:
@@ -408,11 +419,13 @@ def generate_continuous(
     random = np.random.default_rng([0xC047, seed])
     limit = np.array([position_limit, position_limit, angle_limit])
     poses = [random.uniform(-limit, limit, (count, 3)) for _ in rigs]
-    subset = np.full(count, SUBSET_CONTINUOUS)
+    subset = np.full(count, dataset.SUBSET_CONTINUOUS)
     return _generate("continuous", parameters, rigs, poses, subset, seed, frames, threshold)
 
 
-def contact_force(parameters: PadDockingParameters, offset: Array, current: Array, magnets: float = 1.0) -> Array:
+def contact_force(
+    parameters: PadDockingParameters, offset: arrays.Array, current: arrays.Array, magnets: float = 1.0
+) -> arrays.Array:
     """Total contact force (N,), N: magnets, weaker with lateral offset (N, 2) m, plus the push of the servos."""
     squared = np.sum(offset * offset, axis=1) / parameters.magnet_width**2
     pull = parameters.magnet_force * magnets * np.maximum(parameters.magnet_floor, 1.0 / (1.0 + squared))
@@ -423,14 +436,14 @@ def _generate(
     protocol: str,
     parameters: TactileParameters | None,
     rigs: Sequence[int],
-    poses: Sequence[Array],
+    poses: Sequence[arrays.Array],
     subset: NDArray[np.int64],
     seed: int,
     frames: int,
     threshold: float,
-) -> Dataset:
+) -> dataset.Dataset:
     if not rigs or frames < 1:
-        raise DatasetError(protocol, f"{len(rigs)} rigs, {frames} frames; each must be at least 1")
+        raise errors.DatasetError(protocol, f"{len(rigs)} rigs, {frames} frames; each must be at least 1")
     chosen = parameters or TactileParameters()
     parts = []
     for index, (rig_seed, pose) in enumerate(zip(rigs, poses, strict=True)):
@@ -444,7 +457,7 @@ def _generate(
         parts.append(part)
     joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     meta = {
-        "version": VERSION,
+        "version": dataset.VERSION,
         "protocol": protocol,
         "seed": seed,
         "rigs": list(rigs),
@@ -454,18 +467,18 @@ def _generate(
         "parameters": json.loads(chosen.to_json()),
         "digest": chosen.digest(),
     }
-    return Dataset(meta=meta, **joined)
+    return dataset.Dataset(meta=meta, **joined)
 
 
 def measure(
     parameters: TactileParameters,
     rig: Rig,
-    pose: Array,
+    pose: arrays.Array,
     random: np.random.Generator,
     frames: int,
     threshold: float,
-    current: Array | None = None,
-    lean: Array | None = None,
+    current: arrays.Array | None = None,
+    lean: arrays.Array | None = None,
 ) -> dict[str, Any]:
     """Dock once at each commanded pose (N, 3); return a Dataset's columns without subset.
 
@@ -494,7 +507,7 @@ def measure(
         sensor = Sensor(parameters.sensor, rig, random, len(taxels))
         total = np.zeros(taxels.shape)
         for frame in range(frames):
-            raw = sensor.read(taxels, chosen, dwell[part] + frame / FRAME_RATE, 1.0 / FRAME_RATE)
+            raw = sensor.read(taxels, chosen, dwell[part] + frame / machine.FRAME_RATE, 1.0 / machine.FRAME_RATE)
             total += np.maximum(raw - tares[session[part]], 0.0)
         readings[part] = total / frames
     dead = np.isnan(readings)
@@ -515,7 +528,7 @@ def measure(
     }
 
 
-def _tare(parameters: TactileParameters, rig: Rig, random: np.random.Generator) -> Array:
+def _tare(parameters: TactileParameters, rig: Rig, random: np.random.Generator) -> arrays.Array:
     sensor = Sensor(parameters.sensor, rig, random)
-    frames = [sensor.read(None, None, 0.0, 1.0 / FRAME_RATE)[0] for _ in range(_TARE_FRAMES)]
+    frames = [sensor.read(None, None, 0.0, 1.0 / machine.FRAME_RATE)[0] for _ in range(_TARE_FRAMES)]
     return np.asarray(np.mean(frames, axis=0))

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A simulated world: mechanics, contact, tactile arrays and circuit, advanced in fixed steps or by a clock."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import random
@@ -14,16 +12,13 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from deltacharger_core.arrays import Array
-from deltacharger_core.machine import NOMINAL_VOLTAGE
-from deltacharger_core.servo_types import MX_64
+from deltacharger_core import arrays, machine, servo_types
 from deltacharger_driver.servos.registers import TICK
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
+from deltacharger_sim import motion, pads
 from deltacharger_sim.circuit import Circuit, Overlap
 from deltacharger_sim.emulators.power import Outputs, StageReading, TargetPort
 from deltacharger_sim.mechanics import Mechanics
-from deltacharger_sim.motion import MakeMotion, Motion
-from deltacharger_sim.pads import PadSource, Pose
 from deltacharger_sim.parameters import STEP, WorldParameters
 
 
@@ -69,7 +64,7 @@ class Snapshot:
 
     time: float
     position: Vector
-    misalignment: Pose | None
+    misalignment: pads.Pose | None
     contact_force: float
     push: float
     charge_current: float
@@ -80,7 +75,7 @@ class Snapshot:
 _APART = 0.001  # m of gap that ends a docking; a smaller one is a bounce
 _NOTHING = 1e-9  # s
 TEMPERATURE = 28.0  # °C of each servo; a docking heats it by 2 K
-_CURRENT_UNIT = MX_64.current_unit  # A, step of a reading
+_CURRENT_UNIT = servo_types.MX_64.current_unit  # A, step of a reading
 T = TypeVar("T")
 
 
@@ -105,15 +100,15 @@ class World:
     def __init__(
         self,
         parameters: WorldParameters,
-        tactile: PadSource | None = None,
+        tactile: pads.PadSource | None = None,
         seed: int = 0,
         geometry: DeltaGeometry | None = None,
         start: Vector = (0.0, 0.0, 0.0),
-        mechanics: MakeMotion = Mechanics,
+        mechanics: motion.MakeMotion = Mechanics,
     ) -> None:
         self.parameters = parameters
         self.geometry = geometry or DeltaGeometry()
-        self.mechanics: Motion = mechanics(parameters, self.geometry, start)
+        self.mechanics: motion.Motion = mechanics(parameters, self.geometry, start)
         self.circuit = Circuit(parameters.circuit, parameters.port, parameters.stage)
         self.record = Record()
         self.time, self.dt = 0.0, STEP
@@ -122,10 +117,10 @@ class World:
         self._enabled = (False, False, False)
         self._reference = self.mechanics.angles
         self._limit = (0.0, 0.0, 0.0)
-        self._jitter: Pose = (0.0, 0.0, 0.0)
+        self._jitter: pads.Pose = (0.0, 0.0, 0.0)
         self._docked = False
         self._overlap: Overlap | None = None
-        self._overlap_pose: Pose | None = None
+        self._overlap_pose: pads.Pose | None = None
         self._was_short = self._was_parted = self._was_unpowered = self._was_lifted = False
         self._lay_wired = False  # electrodes without a contactor were on the target
         self._moving: tuple[float, float, float, float] | None = None  # m/s, m/s, rad/s of the target, remaining s
@@ -208,7 +203,7 @@ class World:
         self.mechanics.carry(dx, dy)
 
     @property
-    def misalignment(self) -> Pose | None:
+    def misalignment(self) -> pads.Pose | None:
         """Pose of the target in end_effector (x m, y m, angle rad) while in contact, else None."""
         return self._relative() if self._docked and self.mechanics.contact_force > 0.0 else None
 
@@ -243,9 +238,9 @@ class World:
         elif noise > 0.0:
             current += self._random.gauss(0.0, noise)
         angle, current = round(angle / TICK) * TICK, round(current / _CURRENT_UNIT) * _CURRENT_UNIT
-        return angle, mechanics.rates[index], current, NOMINAL_VOLTAGE, TEMPERATURE
+        return angle, mechanics.rates[index], current, machine.NOMINAL_VOLTAGE, TEMPERATURE
 
-    def taxels(self) -> tuple[Array, Array]:
+    def taxels(self) -> tuple[arrays.Array, arrays.Array]:
         """Return both pads' raw readings (10, 10) N now."""
         if self._tactile is None:
             return np.zeros((10, 10)), np.zeros((10, 10))
@@ -258,7 +253,7 @@ class World:
         position, shift = self.mechanics.position, self.mechanics.target_shift
         return target.x + shift[0] - position[0] + jitter[0], target.y + shift[1] - position[1] + jitter[1]
 
-    def _relative(self) -> Pose:
+    def _relative(self) -> pads.Pose:
         x, y = self._offset()
         tilt = self.mechanics.tilt
         if tilt != (0.0, 0.0):
@@ -320,7 +315,7 @@ class World:
         self._was_unpowered = unpowered
 
 
-def _differs(pose: Pose, known: Pose | None) -> bool:
+def _differs(pose: pads.Pose, known: pads.Pose | None) -> bool:
     """Return whether a pose differs from the known one by more than 1 µm or 1 µrad."""
     if known is None:
         return True
@@ -380,7 +375,7 @@ class SharedWorld:
         with self._lock:
             return self._advance().servo(index)
 
-    def read_taxels(self) -> tuple[Array, Array]:
+    def read_taxels(self) -> tuple[arrays.Array, arrays.Array]:
         """Return left and right (10, 10) N, raw; NaN = dead."""
         with self._lock:
             return self._advance().taxels()

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Taxels to misalignment: the pose estimator, the nine classifiers of the paper, calibration of the pads."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from deltacharger_core.machine import CONTACT_FORCE

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deltacharger_core.arrays import Array
-from deltacharger_core.machine import COLUMNS, PADS, ROWS
+from deltacharger_core import arrays, machine
 from deltacharger_tactile.parameters import PadContactParameters
 
 WAVES = 3
@@ -34,16 +33,16 @@ class Waviness:
         phase: (2, WAVES), rad.
     """
 
-    amplitude: Array
-    number: Array
-    phase: Array
+    amplitude: arrays.Array
+    number: arrays.Array
+    phase: arrays.Array
 
     @staticmethod
     def draw(parameters: PadContactParameters, random: np.random.Generator) -> Waviness:
         """Draw the ridges of one rig with the rms of the parameters."""
-        amplitude = np.full((PADS, WAVES), parameters.waviness * np.sqrt(2.0 / WAVES))
-        length = random.uniform(0.008, 0.040, (PADS, WAVES))
-        return Waviness(amplitude, 2.0 * np.pi / length, random.uniform(0.0, 2.0 * np.pi, (PADS, WAVES)))
+        amplitude = np.full((machine.PADS, WAVES), parameters.waviness * np.sqrt(2.0 / WAVES))
+        length = random.uniform(0.008, 0.040, (machine.PADS, WAVES))
+        return Waviness(amplitude, 2.0 * np.pi / length, random.uniform(0.0, 2.0 * np.pi, (machine.PADS, WAVES)))
 
 
 class ContactModel:
@@ -53,7 +52,7 @@ class ContactModel:
         self.parameters = parameters or PadContactParameters()
         self._u, self._v = _sample_points(self.parameters)
         self._pooling = _pooling_matrix(self.parameters)
-        side = self.parameters.pad_side / (ROWS * self.parameters.sub_samples)
+        side = self.parameters.pad_side / (machine.ROWS * self.parameters.sub_samples)
         self._unit = self.parameters.stiffness * side * side
         centre = self.parameters.pad_distance
         self._x = np.stack([self._u + centre, self._u - centre])
@@ -65,7 +64,7 @@ class ContactModel:
         force: ArrayLike,
         tilt: ArrayLike = (0.0, 0.0),
         waviness: Waviness | None = None,
-    ) -> Array:
+    ) -> arrays.Array:
         """Compute the readings of the pressed pads.
 
         Args:
@@ -82,27 +81,29 @@ class ContactModel:
         count = len(poses)
         forces = np.broadcast_to(np.asarray(force, dtype=float), (count,))
         tilts = np.broadcast_to(np.asarray(tilt, dtype=float), (count, 2))
-        taxels = np.zeros((count, PADS, ROWS, COLUMNS))
+        taxels = np.zeros((count, machine.PADS, machine.ROWS, machine.COLUMNS))
         for start in range(0, count, _CHUNK):
             part = slice(start, start + _CHUNK)
             taxels[part] = self._press(poses[part], forces[part], tilts[part], waviness)
         return taxels
 
-    def _press(self, pose: Array, force: Array, tilt: Array, waviness: Waviness | None) -> Array:
+    def _press(
+        self, pose: arrays.Array, force: arrays.Array, tilt: arrays.Array, waviness: Waviness | None
+    ) -> arrays.Array:
         count = len(pose)
         height = self._height(pose, tilt, waviness)
         highest = height.max(axis=1)
         pressed = (highest > -0.5 * _MISSED) & (force > 0.0)
-        taxels = np.zeros((count, PADS, ROWS, COLUMNS))
+        taxels = np.zeros((count, machine.PADS, machine.ROWS, machine.COLUMNS))
         if pressed.any():
             chosen = height if pressed.all() else height[pressed]
             depth = self._carry(chosen, highest[pressed], force[pressed])
             load = self._unit * depth * (1.0 + depth / self.parameters.hardening)
-            spread = load.reshape(-1, load.shape[1] // PADS) @ self._pooling.T
-            taxels[pressed] = spread.reshape(-1, PADS, ROWS, COLUMNS)
+            spread = load.reshape(-1, load.shape[1] // machine.PADS) @ self._pooling.T
+            taxels[pressed] = spread.reshape(-1, machine.PADS, machine.ROWS, machine.COLUMNS)
         return taxels
 
-    def _height(self, pose: Array, tilt: Array, waviness: Waviness | None) -> Array:
+    def _height(self, pose: arrays.Array, tilt: arrays.Array, waviness: Waviness | None) -> arrays.Array:
         """(N, 1800) how far the ridge stands out toward each point of both pads, m."""
         x, y, angle = (pose[:, i, None, None] for i in range(3))
         cosine, sine = np.cos(angle), np.sin(angle)
@@ -117,7 +118,7 @@ class ContactModel:
         height = tilt[:, 0, None, None] * self._v + tilt[:, 1, None, None] * self._x - gap
         return np.asarray(height.reshape(len(pose), -1))
 
-    def _gap(self, qx: Array, qy: Array) -> Array:
+    def _gap(self, qx: arrays.Array, qy: arrays.Array) -> arrays.Array:
         p = self.parameters
         radius = p.edge_radius
         across, along = np.abs(qy), np.abs(qx)
@@ -130,7 +131,7 @@ class ContactModel:
             gap += (qx * qx + qy * qy < 0.25 * p.hole * p.hole) * _MISSED
         return np.asarray(gap)
 
-    def _carry(self, height: Array, highest: Array, force: Array) -> Array:
+    def _carry(self, height: arrays.Array, highest: arrays.Array, force: arrays.Array) -> arrays.Array:
         """Return the indentations. The approach is found by Newton's method.
 
         The force is convex in it, so steps from above never overshoot.
@@ -150,15 +151,15 @@ class ContactModel:
         return np.maximum(approach[:, None] + height, 0.0)
 
 
-def _sample_points(parameters: PadContactParameters) -> tuple[Array, Array]:
+def _sample_points(parameters: PadContactParameters) -> tuple[arrays.Array, arrays.Array]:
     """Sub-sample coordinates (900,) in the pad: row-major from +y, columns from +x."""
-    count = ROWS * parameters.sub_samples
+    count = machine.ROWS * parameters.sub_samples
     line = parameters.pad_side * (0.5 - (np.arange(count) + 0.5) / count)
     v, u = np.meshgrid(line, line, indexing="ij")
     return u.ravel(), v.ravel()
 
 
-def _pooling_matrix(parameters: PadContactParameters) -> Array:
+def _pooling_matrix(parameters: PadContactParameters) -> arrays.Array:
     """(100, 900) share of each sub-sample's force on each taxel; columns sum to 1: no force is lost.
 
     Kernel of an elastic half-space at depth h under a point load (Boussinesq): 3 h³ / (2π (r² + h²)^2.5). What
@@ -169,5 +170,9 @@ def _pooling_matrix(parameters: PadContactParameters) -> Array:
     depth = parameters.spread_depth
     kernel = 3.0 * depth**3 / (2.0 * np.pi * (squared + depth * depth) ** 2.5)
     fine = parameters.sub_samples
-    pooled = kernel.reshape(ROWS, fine, COLUMNS, fine, -1).sum(axis=(1, 3)).reshape(ROWS * COLUMNS, -1)
+    pooled = (
+        kernel.reshape(machine.ROWS, fine, machine.COLUMNS, fine, -1)
+        .sum(axis=(1, 3))
+        .reshape(machine.ROWS * machine.COLUMNS, -1)
+    )
     return np.asarray(pooled / pooled.sum(axis=0))

@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core import machine, texts
 from deltacharger_core.arrays import LARGEST_DATASET, Array, Mask, NpzError, read_npz
-from deltacharger_core.machine import COLUMNS, PADS, ROWS
-from deltacharger_core.texts import IN_TOUCH, outside
 from deltacharger_tactile.errors import DatasetError
 
 SUBSET_CONTINUOUS, SUBSET_ANGLE, SUBSET_POSITION = -1, 0, 1
@@ -115,8 +114,14 @@ class Dataset:
 _INTEGERS = ("attempt", "session", "rig", "subset")
 _NEEDED = ("left", "right", "tare", "angle", "vertical", "horizontal", "current", *_INTEGERS)
 _OPTIONAL = ("dead", "contact_pose", "force")
-_FRAME = (ROWS, COLUMNS)
-_SHAPES = {"left": _FRAME, "right": _FRAME, "tare": (PADS, *_FRAME), "dead": (PADS, *_FRAME), "contact_pose": (3,)}
+_FRAME = (machine.ROWS, machine.COLUMNS)
+_SHAPES = {
+    "left": _FRAME,
+    "right": _FRAME,
+    "tare": (machine.PADS, *_FRAME),
+    "dead": (machine.PADS, *_FRAME),
+    "contact_pose": (3,),
+}
 _LARGEST_FORCE = 1e3  # N; larger values are in other units
 
 
@@ -129,7 +134,7 @@ def _checked(source: str, arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[
     count = len(arrays["angle"]) if arrays["angle"].ndim else 0
     if not count:
         raise DatasetError(source, "it has no rows; generate or record some")
-    arrays.setdefault("dead", np.zeros((count, PADS, *_FRAME), dtype=bool))
+    arrays.setdefault("dead", np.zeros((count, machine.PADS, *_FRAME), dtype=bool))
     arrays.setdefault("contact_pose", np.full((count, 3), np.nan))
     arrays.setdefault("force", np.full(count, np.nan))
     for name, array in arrays.items():
@@ -147,10 +152,10 @@ def _checked(source: str, arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[
 def _check_values(source: str, arrays: dict[str, NDArray[Any]]) -> None:
     """Refuse forces and poses that are not finite, or in other units than N, m and rad."""
     bounds = [(name, arrays[name], _LARGEST_FORCE, "N; give 0 for a dead taxel") for name in ("left", "right")]
-    bounds += [(name, arrays[name], *limit) for name, limit in IN_TOUCH.items()]
-    contact = zip(IN_TOUCH.items(), np.nan_to_num(arrays["contact_pose"]).T, strict=True)
+    bounds += [(name, arrays[name], *limit) for name, limit in texts.IN_TOUCH.items()]
+    contact = zip(texts.IN_TOUCH.items(), np.nan_to_num(arrays["contact_pose"]).T, strict=True)
     bounds += [(f"contact_pose ({name})", column, *limit) for (name, limit), column in contact]
     for name, values, most, unit in bounds:
         for wrong in np.argwhere(~(np.abs(values) <= most))[:1]:
-            problem = outside(float(values[tuple(wrong)]), -most, most, unit)
+            problem = texts.outside(float(values[tuple(wrong)]), -most, most, unit)
             raise DatasetError(source, f"row {wrong[0]} of {name}: {problem}")

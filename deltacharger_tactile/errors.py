@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Errors of the tactile package: one root; each kind carries its values and states what to do."""
 
-from __future__ import annotations
-
 
 class TactileError(Exception):
     """Root of every error raised by deltacharger_tactile."""

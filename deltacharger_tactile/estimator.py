@@ -26,9 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from deltacharger_core.arrays import LARGEST_MODEL, Array, Mask, NpzError, read_npz
 from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, ROWS
-from deltacharger_tactile import features
-from deltacharger_tactile.errors import ModelError
-from deltacharger_tactile.parameters import ANGLE_CLASSES, ANGLE_LIMIT, POSITION_CLASSES, POSITION_LIMIT
+from deltacharger_tactile import errors, features, parameters
 
 
 @dataclass(frozen=True)
@@ -97,9 +95,9 @@ class Estimate:
 
 
 _ROOT = math.sqrt(2.0)
-_HALVES = np.append(np.radians(np.arange(ANGLE_CLASSES - 1) + 0.5), np.inf)
+_HALVES = np.append(np.radians(np.arange(parameters.ANGLE_CLASSES - 1) + 0.5), np.inf)
 _ANGLE_EDGES = np.concatenate([_HALVES, -_HALVES])
-_MIDDLES = np.array(POSITION_CLASSES)
+_MIDDLES = np.array(parameters.POSITION_CLASSES)
 _POSITION_EDGES = np.concatenate([[-np.inf], 0.5 * (_MIDDLES[1:] + _MIDDLES[:-1]), [np.inf]])
 
 
@@ -275,7 +273,7 @@ THRESHOLD = 0.25
 EXPERTS = ("both", "one")
 """Networks by the pads that a contact touches."""
 _FORCES = [features.names().index(f"{side}_force_N") for side in ("left", "right")]
-_SEAT_LIMIT = np.array([0.035, POSITION_LIMIT, ANGLE_LIMIT])
+_SEAT_LIMIT = np.array([0.035, parameters.POSITION_LIMIT, parameters.ANGLE_LIMIT])
 """Limits of a seat in range, m, m, rad. Lean and offset together reach 35 mm before a pad is unloaded."""
 
 
@@ -344,7 +342,7 @@ class PoseEstimator:
     @property
     def _learnt(self) -> Support:
         if self._support is None:
-            raise ModelError(self.name, "it is not trained")
+            raise errors.ModelError(self.name, "it is not trained")
         return self._support
 
     def _prepare(self, frames: Array) -> tuple[Array, Mask, Mask]:
@@ -372,18 +370,18 @@ class PoseEstimator:
         try:
             header, arrays = read_npz(path, "meta", LARGEST_MODEL)
         except NpzError as error:
-            raise ModelError(str(path), str(error)) from error
+            raise errors.ModelError(str(path), str(error)) from error
         if header.get("format") != FORMAT or header.get("features") != features.names():
             made = f"format {header.get('format')!r}, and this version reads {FORMAT}"
-            raise ModelError(str(path), f"made by another version of this package ({made}), or no pose model")
+            raise errors.ModelError(str(path), f"made by another version of this package ({made}), or no pose model")
         if not all(np.issubdtype(array.dtype, np.number) and np.all(np.isfinite(array)) for array in arrays.values()):
-            raise ModelError(str(path), "an array holds NaN, infinity or no numbers")
+            raise errors.ModelError(str(path), "an array holds NaN, infinity or no numbers")
         try:
             model = cls(header["name"], header["threshold"])
             model._restore(header, arrays)
             model._try()
         except Exception as error:  # arrays of a foreign file may raise anything
-            raise ModelError(str(path), "its arrays and description do not fit together") from error
+            raise errors.ModelError(str(path), "its arrays and description do not fit together") from error
         return model
 
     def _restore(self, header: dict[str, Any], arrays: dict[str, Any]) -> None:

@@ -4,24 +4,20 @@
 Frames are not normalised by force: the load of each pad is the signal of the horizontal offset.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from deltacharger_core.arrays import Array
-from deltacharger_core.machine import COLUMNS, PADS, ROWS
-from deltacharger_tactile.errors import FrameError
-from deltacharger_tactile.parameters import PadContactParameters
+from deltacharger_core import arrays, machine
+from deltacharger_tactile import errors, parameters
 
-_PITCH = 1e3 * PadContactParameters().pad_side / ROWS
-_BASELINE = 2e3 * PadContactParameters().pad_distance
+_PITCH = 1e3 * parameters.PadContactParameters().pad_side / machine.ROWS
+_BASELINE = 2e3 * parameters.PadContactParameters().pad_distance
 # Taxel centres in mm: row 0 at +y, column 0 at +x.
-_V = _PITCH * (0.5 * (ROWS - 1) - np.arange(ROWS))
-_U = _PITCH * (0.5 * (COLUMNS - 1) - np.arange(COLUMNS))
+_V = _PITCH * (0.5 * (machine.ROWS - 1) - np.arange(machine.ROWS))
+_U = _PITCH * (0.5 * (machine.COLUMNS - 1) - np.arange(machine.COLUMNS))
 # Neighbours of a taxel in frames with a margin of one: rows down, columns right, weight.
 _DOWN, _RIGHT, _WEIGHT = np.array([[1, 1, 0, 2], [0, 2, 1, 1], [3, 3, 1, 1]])[:, :, None]
 _SMALL = 1e-3
@@ -31,19 +27,21 @@ MIRROR_SIGNS = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], 
 """Signs of (horizontal, vertical, angle) in each image of `mirrored`."""
 
 
-def stack(left: ArrayLike, right: ArrayLike) -> Array:
+def stack(left: ArrayLike, right: ArrayLike) -> arrays.Array:
     """Return both pads as (N, 2, 10, 10) float.
 
     Raises:
         FrameError: a pad is not (..., 10, 10), or the shapes differ.
     """
     a, b = np.asarray(left, dtype=float), np.asarray(right, dtype=float)
-    if a.shape != b.shape or a.shape[-2:] != (ROWS, COLUMNS):
-        raise FrameError(a.shape, b.shape)
-    return np.stack([a.reshape(-1, ROWS, COLUMNS), b.reshape(-1, ROWS, COLUMNS)], axis=1)
+    if a.shape != b.shape or a.shape[-2:] != (machine.ROWS, machine.COLUMNS):
+        raise errors.FrameError(a.shape, b.shape)
+    return np.stack(
+        [a.reshape(-1, machine.ROWS, machine.COLUMNS), b.reshape(-1, machine.ROWS, machine.COLUMNS)], axis=1
+    )
 
 
-def fill_dead(frames: Array) -> Array:
+def fill_dead(frames: arrays.Array) -> arrays.Array:
     """Replace NaN by the mean of the live neighbours; those along the row, like the ridge, have threefold weight.
 
     A taxel without a live neighbour becomes 0.
@@ -52,7 +50,9 @@ def fill_dead(frames: Array) -> Array:
     if not dead.any():
         return frames
     frame, pad, row, column = np.nonzero(dead)
-    around = np.full((*frames.shape[:2], ROWS + 2, COLUMNS + 2), np.nan)  # with a margin: each has four neighbours
+    around = np.full(
+        (*frames.shape[:2], machine.ROWS + 2, machine.COLUMNS + 2), np.nan
+    )  # with a margin: each has four neighbours
     around[:, :, 1:-1, 1:-1] = np.where(dead, np.nan, frames)
     neighbours = around[frame, pad, row + _DOWN, column + _RIGHT]
     live = np.isfinite(neighbours)
@@ -72,9 +72,9 @@ class PadFeatures:
         active: (N, 2) taxels above the threshold.
     """
 
-    values: Array
-    force: Array
-    active: Array
+    values: arrays.Array
+    force: arrays.Array
+    active: arrays.Array
 
 
 def names() -> list[str]:
@@ -91,13 +91,13 @@ def names() -> list[str]:
         "active",
         "peak_N",
     ]
-    per_pad += [f"row{i}_N" for i in range(ROWS)] + [f"column{i}_N" for i in range(COLUMNS)]
-    per_pad += [f"centre{i}_mm" for i in range(COLUMNS)]
+    per_pad += [f"row{i}_N" for i in range(machine.ROWS)] + [f"column{i}_N" for i in range(machine.COLUMNS)]
+    per_pad += [f"centre{i}_mm" for i in range(machine.COLUMNS)]
     across = ["total_N", "log_right_left", "angle_by_centres", "centre_mm"]
     return [f"{side}_{name}" for side in ("left", "right") for name in per_pad] + across
 
 
-def mirrored(values: Array) -> Array:
+def mirrored(values: arrays.Array) -> arrays.Array:
     """Return the features (4, N, F) of four mirror images: unchanged, y mirrored, x mirrored, both.
 
     Mirroring x swaps the pads. MIRROR_SIGNS mirrors the pose: a device and its mirror image are equally likely.
@@ -106,7 +106,7 @@ def mirrored(values: Array) -> Array:
     return values[:, _COLUMNS].swapaxes(0, 1) * _SIGNS
 
 
-def extract(frames: Array, threshold: float) -> PadFeatures:
+def extract(frames: arrays.Array, threshold: float) -> PadFeatures:
     """Compute the features of tared frames.
 
     Args:
@@ -130,12 +130,12 @@ def extract(frames: Array, threshold: float) -> PadFeatures:
     principal = 0.5 * np.arctan2(2.0 * uv, uu - vv + 1e-9)
     peak = seen.max(axis=(2, 3))
     values = np.empty((count, len(_NAMES)))
-    pads = values[:, : PADS * _PER_PAD].reshape(count, PADS, _PER_PAD)  # a view
+    pads = values[:, : machine.PADS * _PER_PAD].reshape(count, machine.PADS, _PER_PAD)  # a view
     for index, feature in enumerate((force, u, v, uu, uv, vv, slope, principal, active, peak)):
         pads[:, :, index] = feature
     for index, profile in enumerate((rows, columns, per_column)):
-        first = _SINGLE + index * COLUMNS
-        pads[:, :, first : first + COLUMNS] = profile
+        first = _SINGLE + index * machine.COLUMNS
+        pads[:, :, first : first + machine.COLUMNS] = profile
     lever = _BASELINE + u[:, 0] - u[:, 1]
     values[:, -4] = force.sum(axis=1)
     values[:, -3] = np.log((force[:, 1] + 0.5) / (force[:, 0] + 0.5))
@@ -171,7 +171,7 @@ def _image_of(name: str, over_y: bool, over_x: bool) -> tuple[str, float]:
     return source, -1.0 if (over_y and odd_y) != (over_x and odd_x) else 1.0
 
 
-def _images() -> tuple[NDArray[np.int64], Array]:
+def _images() -> tuple[NDArray[np.int64], arrays.Array]:
     """Return (4, F) the frame's feature for each of an image, and (4, 1, F) its sign."""
     order = {name: index for index, name in enumerate(names())}
     images = ((False, False), (True, False), (False, True), (True, True))
@@ -181,5 +181,5 @@ def _images() -> tuple[NDArray[np.int64], Array]:
 
 
 _NAMES = names()
-_SINGLE, _PER_PAD = 10, (len(_NAMES) - 4) // PADS
+_SINGLE, _PER_PAD = 10, (len(_NAMES) - 4) // machine.PADS
 _COLUMNS, _SIGNS = _images()

@@ -7,8 +7,6 @@ Parameters: model, calibration, classifiers, rate, max_age, timeout, frame_prefi
 The node moves nothing.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Sequence
@@ -23,15 +21,8 @@ from rclpy.qos import QoSProfile, qos_profile_sensor_data
 
 from deltacharger_core.frames import END_EFFECTOR, FrameParameters
 from deltacharger_core.machine import COLUMNS, ROWS
-from deltacharger_core.ros import node_support
-from deltacharger_core.ros.clock import stamp_age
-from deltacharger_core.ros.log import Log
-from deltacharger_core.ros.messages import unknown_misalignment
-from deltacharger_core.ros.on_demand import OnDemandSubscription
-from deltacharger_core.ros.parameters import Regularly, declare_all, reject_unknown
-from deltacharger_core.ros.qos import SERVICE
-from deltacharger_tactile.errors import FrameError
-from deltacharger_tactile.estimator import Estimate
+from deltacharger_core.ros import clock, log, messages, node_support, on_demand, parameters, qos
+from deltacharger_tactile import errors, estimator
 from deltacharger_tactile.parameters import FRAMES, FRAMES_MAX, MisalignmentNodeParameters
 from deltacharger_tactile.perception import Frame, FrameWindow, Perception, PerceptionError, Refused
 
@@ -44,12 +35,12 @@ def to_frame(message: TactileFrame, sampled: float) -> Frame:
     """
     sizes = {len(message.left), len(message.right)}
     if (message.rows, message.columns) != (ROWS, COLUMNS) or sizes != {ROWS * COLUMNS}:
-        raise FrameError(*((message.rows, message.columns, len(pad)) for pad in (message.left, message.right)))
+        raise errors.FrameError(*((message.rows, message.columns, len(pad)) for pad in (message.left, message.right)))
     left, right = (np.asarray(pad, dtype=float).reshape(ROWS, COLUMNS) for pad in (message.left, message.right))
     return Frame(sampled, message.header.stamp, message.sequence, message.tared, left, right)
 
 
-def to_message(estimate: Estimate, name: str, stamp: Any, frame_id: str) -> Misalignment:
+def to_message(estimate: estimator.Estimate, name: str, stamp: Any, frame_id: str) -> Misalignment:
     """Convert an estimate of one frame pair to a message.
 
     Args:
@@ -58,7 +49,7 @@ def to_message(estimate: Estimate, name: str, stamp: Any, frame_id: str) -> Misa
         stamp: of the newest frame used.
         frame_id: full name of end_effector.
     """
-    message = unknown_misalignment(frame_id)  # yaw and pitch stay NaN: the pads do not measure them
+    message = messages.unknown_misalignment(frame_id)  # yaw and pitch stay NaN: the pads do not measure them
     message.header.stamp = stamp
     message.contact, message.sure, message.in_range = estimate.contact, estimate.sure, estimate.in_range
     for axis in ("angle", "vertical", "horizontal"):
@@ -76,10 +67,10 @@ class MisalignmentNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("misalignment_node", **kwargs)
-        self._log = Log(self)
-        given = declare_all(self, MisalignmentNodeParameters)
-        self._frame_id = declare_all(self, FrameParameters).named(END_EFFECTOR)
-        reject_unknown(self)
+        self._log = log.Log(self)
+        given = parameters.declare_all(self, MisalignmentNodeParameters)
+        self._frame_id = parameters.declare_all(self, FrameParameters).named(END_EFFECTOR)
+        parameters.reject_unknown(self)
         self._given = given
         try:
             self._perception = Perception.load(given.model, given.calibration, given.classifiers)
@@ -89,15 +80,17 @@ class MisalignmentNode(Node):
             self._log.warning(self._perception.doubt)
         self._window = FrameWindow(time.monotonic)
         self._publisher = self.create_publisher(Misalignment, "misalignment", QoSProfile(depth=1))
-        self._frames = OnDemandSubscription(self, TactileFrame, "tactile_frame", self._receive, qos_profile_sensor_data)
+        self._frames = on_demand.OnDemandSubscription(
+            self, TactileFrame, "tactile_frame", self._receive, qos_profile_sensor_data
+        )
         self.create_service(
             PredictMisalignment,
             "predict_misalignment",
             self._predict,
             callback_group=ReentrantCallbackGroup(),
-            qos_profile=SERVICE,
+            qos_profile=qos.SERVICE,
         )
-        self._regularly = Regularly(self._publish, "misalignment", given.rate)
+        self._regularly = parameters.Regularly(self._publish, "misalignment", given.rate)
 
     def close(self) -> None:
         """Release waiting requests and stop the publisher."""
@@ -106,9 +99,9 @@ class MisalignmentNode(Node):
 
     def _receive(self, message: TactileFrame) -> None:
         try:
-            sampled = time.monotonic() - stamp_age(self.get_clock(), message.header.stamp)
+            sampled = time.monotonic() - clock.stamp_age(self.get_clock(), message.header.stamp)
             self._window.add_frame(to_frame(message, sampled))
-        except FrameError:
+        except errors.FrameError:
             self._log.error(
                 f"tactile_frame is {message.rows} × {message.columns} with {len(message.left)} and "
                 f"{len(message.right)} values, the model needs 10 × 10; ignored",
@@ -120,7 +113,7 @@ class MisalignmentNode(Node):
     ) -> PredictMisalignment.Response:
         given = self._given
         wanted = request.frames or FRAMES
-        response.misalignment = unknown_misalignment(self._frame_id)
+        response.misalignment = messages.unknown_misalignment(self._frame_id)
         if wanted > FRAMES_MAX:
             kept = FRAMES_MAX
             response.message = f"{wanted} frames requested, at most {kept} are kept; request fewer"

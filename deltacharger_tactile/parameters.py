@@ -5,27 +5,16 @@ The generator's defaults describe a plausible device, not a measured one: the pa
 stored with every data set and model made with them.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import json
 import math
 from dataclasses import dataclass, field
 
-from deltacharger_core.machine import (
-    COLUMNS,
-    DOCKING_JITTER,
-    MAGNET_FLOOR,
-    MAGNET_FORCE,
-    MAGNET_WIDTH,
-    PAD_DISTANCE,
-    PADS,
-    ROWS,
-)
-from deltacharger_core.parameters import Bounded, number, words
+from deltacharger_core import machine, parameters
+from deltacharger_core.parameters import number, words
 
-SHAPE = (PADS, ROWS, COLUMNS)
+SHAPE = (machine.PADS, machine.ROWS, machine.COLUMNS)
 """Shape of both pads' readings."""
 FRAMES = 12
 """Tactile frames averaged if a request states 0: a tenth of a second."""
@@ -45,7 +34,7 @@ LARGEST_HOLE = 0.006  # m, as high as the ridge
 class PadContactParameters:
     """Pads, ridge and elastomer."""
 
-    pad_distance: float = PAD_DISTANCE  # m, pad centre from the end effector's centre along x
+    pad_distance: float = machine.PAD_DISTANCE  # m, pad centre from the end effector's centre along x
     pad_side: float = 0.024  # m, side of the square pad (10 × 10 taxels)
     sub_samples: int = 3  # contact points per taxel and axis
     ridge_length: float = 0.046  # m, length of the target's insulated ridge, along its x
@@ -67,11 +56,11 @@ class PadDockingParameters:
     tilt_per_y: float = 7.0 * _DEGREE  # rad/m, tilt about x per vertical offset
     tilt_spread: float = 0.009 * _DEGREE  # rad, spread of both tilts, per docking
     tilt_bias: float = 0.003 * _DEGREE  # rad, spread of both tilts, per rig
-    position_jitter: float = DOCKING_JITTER  # m, standard deviation of x and y in contact, per docking
+    position_jitter: float = machine.DOCKING_JITTER  # m, standard deviation of x and y in contact, per docking
     angle_jitter: float = 0.19 * _DEGREE  # rad, standard deviation of the angle, per docking
-    magnet_force: float = MAGNET_FORCE  # N, all magnets together in contact at zero offset
-    magnet_width: float = MAGNET_WIDTH  # m, lateral offset that halves the magnets' pull
-    magnet_floor: float = MAGNET_FLOOR  # smallest fraction of the magnets' pull
+    magnet_force: float = machine.MAGNET_FORCE  # N, all magnets together in contact at zero offset
+    magnet_width: float = machine.MAGNET_WIDTH  # m, lateral offset that halves the magnets' pull
+    magnet_floor: float = machine.MAGNET_FLOOR  # smallest fraction of the magnets' pull
     magnet_spread: float = 0.05  # relative standard deviation of the magnets, per rig
     push_per_ampere: float = 38.4  # N/A, push of the servos per contact current
     push_spread: float = 0.05  # lognormal spread of the push, per docking
@@ -118,7 +107,7 @@ class TactileParameters:
 
 
 @dataclass(frozen=True)
-class MisalignmentNodeParameters(Bounded):
+class MisalignmentNodeParameters(parameters.Bounded):
     """Files and limits of misalignment_node."""
 
     model: str = words("", "Pose model (npz); empty = the packaged one.")

@@ -15,16 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deltacharger_core.arrays import Array
-from deltacharger_core.machine import FRAME_RATE
-from deltacharger_core.real_time import COMPARE_CLOCKS
-from deltacharger_tactile import MODEL_PATH
+from deltacharger_core import arrays, machine, real_time
+from deltacharger_tactile import MODEL_PATH, errors, estimator, parameters
 from deltacharger_tactile.calibration.rig import TactileCalibration
 from deltacharger_tactile.classifiers import classifier
 from deltacharger_tactile.classifiers.classifier import Classifier
-from deltacharger_tactile.errors import TactileError
-from deltacharger_tactile.estimator import Estimate, PoseEstimator
-from deltacharger_tactile.parameters import FRAMES_MAX, SensorParameters
 
 
 @dataclass(frozen=True)
@@ -44,8 +39,8 @@ class Frame:
     stamp: Any
     sequence: int
     tared: bool
-    left: Array
-    right: Array
+    left: arrays.Array
+    right: arrays.Array
 
 
 class Refused(Exception):
@@ -62,7 +57,7 @@ class FrameWindow:
     def __init__(self, now: Callable[[], float]) -> None:
         self._now = now
         self._frames: deque[tuple[float, Frame]] = deque(
-            maxlen=FRAMES_MAX
+            maxlen=parameters.FRAMES_MAX
         )  # with the time.monotonic() of their arrival
         self._arrived = threading.Condition()
         self._closed = False
@@ -97,7 +92,7 @@ class FrameWindow:
             Refused: they did not arrive in time, or the window was closed.
         """
         since, asked = self._now(), time.monotonic()
-        deadline = asked + timeout + wanted / FRAME_RATE
+        deadline = asked + timeout + wanted / machine.FRAME_RATE
         with self._arrived:
             while True:
                 fresh = [frame for arrived, frame in self._frames if arrived > asked and frame.sampled > since]
@@ -110,7 +105,7 @@ class FrameWindow:
                     raise Refused(self._why_too_few(len(fresh), wanted))
                 self._arrived.wait(left)
 
-    def average(self, frames: Sequence[Frame], max_age: float) -> tuple[Array, Array]:
+    def average(self, frames: Sequence[Frame], max_age: float) -> tuple[arrays.Array, arrays.Array]:
         """Return left and right (10, 10) N, the mean of frames; a taxel that is dead in one frame is dead.
 
         Args:
@@ -125,7 +120,8 @@ class FrameWindow:
             raise Refused(f"the newest tactile frame is {age:.3f} s old, more than max_age {max_age:g} s")
         if age < -max_age:
             raise Refused(
-                f"the newest tactile frame is stamped {-age:.3f} s ahead of this node's clock; {COMPARE_CLOCKS}"
+                f"the newest tactile frame is stamped {-age:.3f} s ahead of this node's clock; "
+                f"{real_time.COMPARE_CLOCKS}"
             )
         if not all(frame.tared for frame in frames):
             raise Refused("the tactile frames are not tared; call the service tare without contact")
@@ -138,19 +134,19 @@ class FrameWindow:
         age = self._now() - self._frames[-1][1].sampled
         return (
             f"{fresh} of {wanted} fresh frames arrived in time, the newest is {age:.2f} s old; check tactile_node; "
-            f"{COMPARE_CLOCKS}"
+            f"{real_time.COMPARE_CLOCKS}"
         )
 
 
 _LARGEST = 100.0
 """A larger reading (N) is invalid: eleven times the measuring range."""
-_SATURATED = 0.9 * SensorParameters().full_scale
+_SATURATED = 0.9 * parameters.SensorParameters().full_scale
 """A taxel that reads this much (N) may be saturated; the tare uses part of the range."""
 _SATURATED_MOST = 3
 """Most saturated taxels of both pads; with more, load and centres are unknown."""
 
 
-class PerceptionError(TactileError, ValueError):
+class PerceptionError(errors.TactileError, ValueError):
     """A file cannot be used. Example: a data set instead of a model.
 
     Args:
@@ -175,7 +171,7 @@ class Perception:
         classes: name of their packaged model; '' = none.
     """
 
-    model: PoseEstimator
+    model: estimator.PoseEstimator
     calibration: TactileCalibration | None = None
     classifiers: Mapping[str, Classifier] = dataclasses.field(default_factory=dict)
     classes: str = ""
@@ -192,7 +188,7 @@ class Perception:
         Raises:
             PerceptionError: a file is missing or of the wrong kind; the message states what to do.
         """
-        pose_model = _read("model", PoseEstimator.load, model or MODEL_PATH)
+        pose_model = _read("model", estimator.PoseEstimator.load, model or MODEL_PATH)
         known = _read("calibration", TactileCalibration.load, calibration) if calibration else None
         return Perception(pose_model, known).answering(classifiers)
 
@@ -222,7 +218,7 @@ class Perception:
             "make one with `deltacharger calibrate tactile --model`"
         )
 
-    def predict(self, left: ArrayLike, right: ArrayLike) -> Estimate:
+    def predict(self, left: ArrayLike, right: ArrayLike) -> estimator.Estimate:
         """Estimate the pose from tared frames (10, 10) N, NaN where dead; invalid readings are never sure.
 
         Raises:
@@ -245,7 +241,7 @@ class Perception:
         return dataclasses.replace(estimate, **changed) if changed else estimate
 
 
-def _shares(classifier: Classifier, frames: Array) -> Array | None:
+def _shares(classifier: Classifier, frames: arrays.Array) -> arrays.Array | None:
     """Return a classifier's probabilities for one frame pair; None if the classifier fails."""
     try:
         shares = np.asarray(classifier.predict_proba(frames)[0])
@@ -259,5 +255,5 @@ def _read(parameter: str, load: Any, path: str | Path) -> Any:
         return load(path)
     except FileNotFoundError as error:
         raise PerceptionError(parameter, f"there is no file {path}; give the path of a file on this host") from error
-    except (TactileError, OSError) as error:
+    except (errors.TactileError, OSError) as error:
         raise PerceptionError(parameter, str(error)) from error

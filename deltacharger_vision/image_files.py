@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reads RGB-D images and cameras' calibrations from files, writes pictures. Needs OpenCV, `deltacharger[vision]`."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,12 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_core.arrays import ArrayError, read_array
-from deltacharger_core.files import FileRefused, brief, open_file, read_bytes
-from deltacharger_core.yaml_file import YamlError, read_yaml
+from deltacharger_core import arrays, files, yaml_file
+from deltacharger_vision import errors, images
 from deltacharger_vision.cameras.ros_formats import Readout, from_camera_info
-from deltacharger_vision.errors import CameraInfoError, ImageError
-from deltacharger_vision.images import Intrinsics, RgbdImage
 
 CAMERA_INFO = "camera_info.yaml"
 """Name of the intrinsics' file in a folder of images."""
@@ -39,7 +34,7 @@ class ImageFiles:
     color: Path
     depth: Path | None
 
-    def read(self, intrinsics: Intrinsics) -> RgbdImage:
+    def read(self, intrinsics: images.Intrinsics) -> images.RgbdImage:
         """Return the image, without depth if it has none; raises the errors of `read_rgbd`."""
         return read_rgbd(self.color, self.depth, intrinsics)
 
@@ -62,7 +57,7 @@ def require_opencv() -> Any:
     return cv2
 
 
-def read_rgbd(color: Path, depth: Path | None, intrinsics: Intrinsics) -> RgbdImage:
+def read_rgbd(color: Path, depth: Path | None, intrinsics: images.Intrinsics) -> images.RgbdImage:
     """Return colour and depth of the same pixels.
 
     Args:
@@ -78,10 +73,10 @@ def read_rgbd(color: Path, depth: Path | None, intrinsics: Intrinsics) -> RgbdIm
     pixels = read_color(color)
     metres = np.full(pixels.shape[:2], np.nan, dtype=np.float32) if depth is None else read_depth(depth)
     try:
-        return RgbdImage.make(pixels, metres, intrinsics)
-    except ImageError as error:
+        return images.RgbdImage.make(pixels, metres, intrinsics)
+    except errors.ImageError as error:
         named = depth if error.source == "depth" and depth is not None else color
-        raise ImageError(str(named), str(error)) from error
+        raise errors.ImageError(str(named), str(error)) from error
 
 
 def read_color(path: Path) -> NDArray[Any]:
@@ -115,7 +110,7 @@ def read_depth(path: Path) -> NDArray[Any]:
     pixels = _decoded(path)
     if pixels.ndim != 2 or pixels.dtype != np.uint16:
         channels = 1 if pixels.ndim == 2 else pixels.shape[2]
-        raise ImageError(
+        raise errors.ImageError(
             str(path),
             f"{channels} × {pixels.dtype.itemsize * 8} bits per pixel, a picture for viewing; depth is one channel of "
             "16 bits in millimetres (PNG), or an array of uint16 mm or float m (.npy)",
@@ -137,29 +132,29 @@ def _decoded(path: Path) -> NDArray[Any]:
     """Decode an image file with OpenCV: (H, W), (H, W, 3) BGR or (H, W, 4) BGRA."""
     cv2 = require_opencv()
     try:
-        data = read_bytes(path, _LARGEST)
-    except FileRefused as error:
-        raise ImageError(str(path), f"{error.strerror}; give PNG or JPEG") from error
+        data = files.read_bytes(path, _LARGEST)
+    except files.FileRefused as error:
+        raise errors.ImageError(str(path), f"{error.strerror}; give PNG or JPEG") from error
     try:
         pixels = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
         pixels = None
     if pixels is None:
-        raise ImageError(str(path), "is not an image, damaged or too large; give PNG or JPEG")
+        raise errors.ImageError(str(path), "is not an image, damaged or too large; give PNG or JPEG")
     return np.asarray(pixels)
 
 
 def _array(path: Path) -> NDArray[Any]:
     try:
-        with open_file(path, _LARGEST) as file:
-            return read_array(file)
-    except FileRefused as error:
-        raise ImageError(str(path), f"{error.strerror}; write one with numpy.save") from error
-    except ArrayError as error:
-        raise ImageError(str(path), f"is not an NPY file ({error}); write it with numpy.save") from error
+        with files.open_file(path, _LARGEST) as file:
+            return arrays.read_array(file)
+    except files.FileRefused as error:
+        raise errors.ImageError(str(path), f"{error.strerror}; write one with numpy.save") from error
+    except arrays.ArrayError as error:
+        raise errors.ImageError(str(path), f"is not an NPY file ({error}); write it with numpy.save") from error
 
 
-def load_camera_info(path: str | Path) -> Intrinsics:
+def load_camera_info(path: str | Path) -> images.Intrinsics:
     """Read a calibration YAML (`camera_calibration`, `camera_info_manager`) or an echoed CameraInfo.
 
     Raises:
@@ -168,11 +163,11 @@ def load_camera_info(path: str | Path) -> Intrinsics:
     """
     source = str(path)
     try:
-        found = read_yaml(path, first=True)  # an echoed topic has one document per message; any will do
-    except YamlError as error:
-        raise CameraInfoError(source, f"{error.problem}; give the file of the camera's calibration") from error
+        found = yaml_file.read_yaml(path, first=True)  # an echoed topic has one document per message; any will do
+    except yaml_file.YamlError as error:
+        raise errors.CameraInfoError(source, f"{error.problem}; give the file of the camera's calibration") from error
     if not isinstance(found, dict):
-        raise CameraInfoError(source, "holds no mapping; give the file of the camera's calibration")
+        raise errors.CameraInfoError(source, "holds no mapping; give the file of the camera's calibration")
     return from_camera_info(
         _field(source, found, "image_width", "width"),
         _field(source, found, "image_height", "height"),
@@ -188,7 +183,7 @@ def _field(source: str, found: dict[str, Any], *names: str) -> Any:
     for name in names:
         if name in found:
             return found[name]
-    raise CameraInfoError(source, f"no {' or '.join(names)}; give the file of the camera's calibration")
+    raise errors.CameraInfoError(source, f"no {' or '.join(names)}; give the file of the camera's calibration")
 
 
 def _data(found: Any) -> Any:
@@ -200,9 +195,11 @@ def _data(found: Any) -> Any:
 def _readout(source: str, found: dict[str, Any]) -> Readout:
     region = found.get("roi") or {}
     if not isinstance(region, dict):
-        raise CameraInfoError(source, f"roi is {brief(region)}; it must be a mapping, as in CameraInfo")
+        raise errors.CameraInfoError(source, f"roi is {files.brief(region)}; it must be a mapping, as in CameraInfo")
     fields = [region.get(name, 0) for name in ("x_offset", "y_offset", "width", "height")]
     fields += [found.get(name, 0) for name in ("binning_x", "binning_y")]
     if wrong := [each for each in fields if isinstance(each, bool) or not isinstance(each, int)]:
-        raise CameraInfoError(source, f"roi or binning contains {brief(wrong[0])}; give whole numbers of pixels")
+        raise errors.CameraInfoError(
+            source, f"roi or binning contains {files.brief(wrong[0])}; give whole numbers of pixels"
+        )
     return Readout(*fields)

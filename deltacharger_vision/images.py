@@ -17,8 +17,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_core.arrays import Array
-from deltacharger_core.files import brief
+from deltacharger_core import arrays, files
 from deltacharger_vision.errors import CameraInfoError, ImageError
 
 COLOR, DEPTH, INFO = "color", "depth", "info"
@@ -79,7 +78,8 @@ class Intrinsics:
             found = getattr(self, name)
             if not _is_number(found) or not low <= found <= high:
                 raise CameraInfoError(
-                    "intrinsics", f"{name} = {brief(found)} is outside {low:g}…{high:g} px; calibrate the camera again"
+                    "intrinsics",
+                    f"{name} = {files.brief(found)} is outside {low:g}…{high:g} px; calibrate the camera again",
                 )
         if not float(self.width).is_integer() or not float(self.height).is_integer():
             raise CameraInfoError("intrinsics", f"{self.width} × {self.height} is no whole number of pixels")
@@ -90,9 +90,11 @@ class Intrinsics:
             )
         for coefficient in self.distortion:
             if not _is_number(coefficient) or not abs(coefficient) <= _COEFFICIENT:
-                raise CameraInfoError("intrinsics", f"distortion coefficient {brief(coefficient)}; calibrate again")
+                raise CameraInfoError(
+                    "intrinsics", f"distortion coefficient {files.brief(coefficient)}; calibrate again"
+                )
 
-    def matrix(self) -> Array:
+    def matrix(self) -> arrays.Array:
         """Return (3, 3) px: maps a direction (x, y, 1) in the optical frame to an undistorted pixel (u, v, 1)."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
@@ -231,7 +233,7 @@ _STEPS = 30
 _CLOSE = 1e-9
 
 
-def rays(pixels: Array, intrinsics: Intrinsics) -> Array:
+def rays(pixels: arrays.Array, intrinsics: Intrinsics) -> arrays.Array:
     """Return x/z and y/z (..., 2) of the rays through pixels (..., 2).
 
     Raises:
@@ -252,18 +254,18 @@ def check_lens(intrinsics: Intrinsics) -> None:
         rays(np.stack([x, y], axis=-1), intrinsics)
 
 
-def project(points: Array, intrinsics: Intrinsics) -> Array:
+def project(points: arrays.Array, intrinsics: Intrinsics) -> arrays.Array:
     """Return the pixels (..., 2) of points (..., 3) m in the optical frame, in front of the camera."""
     seen = distort(points[..., :2] / points[..., 2:], intrinsics.distortion)
     return np.asarray(seen * [intrinsics.fx, intrinsics.fy] + [intrinsics.cx, intrinsics.cy])
 
 
-def distort(points: Array, distortion: tuple[float, ...]) -> Array:
+def distort(points: arrays.Array, distortion: tuple[float, ...]) -> arrays.Array:
     """Return the distorted directions of ideal ones (..., 2)."""
     return _distorted(points, distortion)[0] if distortion else np.array(points, dtype=float)
 
 
-def undistort(points: Array, distortion: tuple[float, ...]) -> Array:
+def undistort(points: arrays.Array, distortion: tuple[float, ...]) -> arrays.Array:
     """Return the ideal directions of distorted ones (..., 2), by Newton's method.
 
     Raises:
@@ -286,7 +288,7 @@ def undistort(points: Array, distortion: tuple[float, ...]) -> Array:
     raise CameraInfoError("distortion", "two directions fall on one pixel of the image; calibrate the camera again")
 
 
-def _distorted(points: Array, distortion: tuple[float, ...]) -> tuple[Array, Array]:
+def _distorted(points: arrays.Array, distortion: tuple[float, ...]) -> tuple[arrays.Array, arrays.Array]:
     """Return distorted directions (..., 2) and (..., 4): dx'/dx, dx'/dy = dy'/dx, dy'/dy and their determinant."""
     k1, k2, p1, p2, k3, k4, k5, k6 = (*distortion, 0.0, 0.0, 0.0)[:8]
     x, y = points[..., 0], points[..., 1]

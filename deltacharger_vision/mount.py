@@ -16,14 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from deltacharger_core.arrays import Array
-from deltacharger_core.files import brief
-from deltacharger_core.frames import CAMERA, CHARGER_BASE, rotation
-from deltacharger_core.machine import DOCK_DISTANCE
-from deltacharger_core.texts import far
-from deltacharger_core.yaml_file import YamlError, read_yaml, write_yaml
-from deltacharger_vision.errors import MountError
-from deltacharger_vision.terminal import Detection, cross_matrix, transform
+from deltacharger_core import arrays, files, frames, machine, texts, yaml_file
+from deltacharger_vision import errors, terminal
 
 _SQUARE = 0.01  # cosine between bars and normal, which are perpendicular: a larger one contradicts the roll
 _STEEPEST = 0.1  # least share of a normal along z: a lean of 84°
@@ -41,17 +35,17 @@ class Placed:
             error.
     """
 
-    position: Array
+    position: arrays.Array
     roll: float
-    normal: Array
-    covariance: Array
+    normal: arrays.Array
+    covariance: arrays.Array
 
     @property
     def upright(self) -> bool:
         """Whether the normal is known."""
         return bool(np.isfinite(self.normal).all())
 
-    def rotation(self) -> Array:
+    def rotation(self) -> arrays.Array:
         """Return (3, 3) charger_base_R_target: z against the normal, x at the roll; without a normal, only the roll."""
         z = -self.normal if self.upright else np.array([0.0, 0.0, 1.0])
         x = np.array([math.cos(self.roll) * z[2], math.sin(self.roll) * z[2], 0.0])
@@ -59,7 +53,7 @@ class Placed:
         x /= np.linalg.norm(x)
         return np.column_stack([x, np.cross(z, x), z])
 
-    def known_covariance(self) -> Array:
+    def known_covariance(self) -> arrays.Array:
         """Return `covariance`, with NaN for the rotations about x and y if the normal is unknown."""
         found = self.covariance.copy()
         if not self.upright:
@@ -67,13 +61,13 @@ class Placed:
         return found
 
 
-def leaning_normal(yaw: float, pitch: float) -> Array:
+def leaning_normal(yaw: float, pitch: float) -> arrays.Array:
     """Return the (3,) unit normal, toward the camera, of faces with this yaw and pitch, rad."""
     z = np.array([math.tan(yaw), -math.tan(pitch), 1.0])
     return np.asarray(-z / np.linalg.norm(z))
 
 
-def is_front(axis: Array, normal: Array, sight: Array) -> bool:
+def is_front(axis: arrays.Array, normal: arrays.Array, sight: arrays.Array) -> bool:
     """Return whether a normal belongs to faces visible from the front to camera and charger, square to their bars.
 
     Args:
@@ -84,10 +78,10 @@ def is_front(axis: Array, normal: Array, sight: Array) -> bool:
     return bool(normal @ sight < 0.0 and normal[2] < -_STEEPEST and abs(normal @ axis) < _SQUARE)
 
 
-FRAME, CAMERA_FRAME = CHARGER_BASE, CAMERA
+FRAME, CAMERA_FRAME = frames.CHARGER_BASE, frames.CAMERA
 _USUAL = np.diag([0.002**2] * 3 + [math.radians(0.5) ** 2] * 3)
 """Covariance of a mount without its own: m² and rad²; accuracy of a calibration by hand (assumed)."""
-_PLACE, _DOCK = (0.0, 0.12, -0.12), (0.0, 0.0, DOCK_DISTANCE)
+_PLACE, _DOCK = (0.0, 0.12, -0.12), (0.0, 0.0, machine.DOCK_DISTANCE)
 _UNIT = 1e-3
 _KEYS = ("frame", "camera_frame", "position", "orientation", "covariance", "calibration")
 
@@ -105,22 +99,22 @@ class Mount:
         MountError: the pose is not rigid or on no robot, or the covariance is invalid.
     """
 
-    pose: Array
-    covariance: Array
+    pose: arrays.Array
+    covariance: arrays.Array
 
     def __post_init__(self) -> None:
         pose, covariance = np.asarray(self.pose, dtype=float), np.asarray(self.covariance, dtype=float)
         if pose.shape != (4, 4) or not np.isfinite(pose).all():
-            raise MountError("pose", f"shape {pose.shape} or not finite; give a (4, 4) transform")
+            raise errors.MountError("pose", f"shape {pose.shape} or not finite; give a (4, 4) transform")
         turn = pose[:3, :3]
         if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) or np.linalg.det(turn) < 0.0:
-            raise MountError("orientation", "is no rotation; give a unit quaternion x, y, z, w")
-        if problem := far(pose[:3, 3].tolist()):
-            raise MountError("position", problem)
+            raise errors.MountError("orientation", "is no rotation; give a unit quaternion x, y, z, w")
+        if problem := texts.far(pose[:3, 3].tolist()):
+            raise errors.MountError("position", problem)
         if covariance.shape != (6, 6) or not np.isfinite(covariance).all():
-            raise MountError("covariance", "give 36 finite numbers, (6, 6) row by row")
+            raise errors.MountError("covariance", "give 36 finite numbers, (6, 6) row by row")
         if not np.allclose(covariance, covariance.T) or np.linalg.eigvalsh(covariance)[0] < -1e-12:
-            raise MountError("covariance", "must be symmetric and not negative")
+            raise errors.MountError("covariance", "must be symmetric and not negative")
         object.__setattr__(self, "pose", pose)
         object.__setattr__(self, "covariance", covariance)
 
@@ -137,8 +131,8 @@ class Mount:
             MountError: the numbers are not a pose.
         """
         if len(seven) != 7:
-            raise MountError("mount", f"{len(seven)} numbers; give seven: x y z qx qy qz qw")
-        pose = transform(_rotation(np.asarray(seven[3:], dtype=float)), seven[:3])
+            raise errors.MountError("mount", f"{len(seven)} numbers; give seven: x y z qx qy qz qw")
+        pose = terminal.transform(_rotation(np.asarray(seven[3:], dtype=float)), seven[:3])
         return Mount(pose, _USUAL)
 
     @staticmethod
@@ -151,24 +145,28 @@ class Mount:
         """
         source = str(path)
         try:
-            found = read_yaml(path)
-        except YamlError as error:
-            raise MountError(source, f"{error.problem}; give a file of `deltacharger calibrate camera`") from error
+            found = yaml_file.read_yaml(path)
+        except yaml_file.YamlError as error:
+            raise errors.MountError(
+                source, f"{error.problem}; give a file of `deltacharger calibrate camera`"
+            ) from error
         if not isinstance(found, dict):
-            raise MountError(source, f"must be a mapping with {', '.join(_KEYS)}")
+            raise errors.MountError(source, f"must be a mapping with {', '.join(_KEYS)}")
         unknown = [key for key in found if key not in _KEYS]
         if unknown:
-            raise MountError(source, f"unknown key {brief(unknown[0])}; known: {', '.join(_KEYS)}")
+            raise errors.MountError(source, f"unknown key {files.brief(unknown[0])}; known: {', '.join(_KEYS)}")
         for key, frame in (("frame", FRAME), ("camera_frame", CAMERA_FRAME)):
             if found.get(key, frame) != frame:
-                raise MountError(source, f"{key} is {brief(found[key])}; this is the pose of {CAMERA_FRAME} in {FRAME}")
+                raise errors.MountError(
+                    source, f"{key} is {files.brief(found[key])}; this is the pose of {CAMERA_FRAME} in {FRAME}"
+                )
         try:
             mount = Mount.from_numbers([*_numbers(found, "position", 3), *_numbers(found, "orientation", 4)])
             if "covariance" not in found:
                 return mount
             return Mount(mount.pose, np.reshape(_numbers(found, "covariance", 36), (6, 6)))
-        except MountError as error:
-            raise MountError(source, str(error)) from error
+        except errors.MountError as error:
+            raise errors.MountError(source, str(error)) from error
 
     def save(self, path: str | Path, about: Mapping[str, Any] | None = None) -> None:
         """Write a YAML file.
@@ -186,16 +184,16 @@ class Mount:
         }
         if about:
             content["calibration"] = dict(about)
-        write_yaml(path, content)
+        yaml_file.write_yaml(path, content)
 
-    def place(self, found: Detection) -> Placed:
+    def place(self, found: terminal.Detection) -> Placed:
         """Return a detection in charger_base; drops normals of faces that look away or are not square to their bars."""
         turn = self.pose[:3, :3]
         arm = turn @ found.position
         both = np.zeros((6, 6))
         both[:3, :3] = both[3:, 3:] = turn
         lever = np.eye(6)
-        lever[:3, 3:] = -cross_matrix(arm)
+        lever[:3, 3:] = -terminal.cross_matrix(arm)
         covariance = both @ found.covariance @ both.T + lever @ self.covariance @ lever.T
         axis, normal = turn @ found.axis, turn @ found.normal
         x, y, z = axis
@@ -210,12 +208,12 @@ class Mount:
         )
 
 
-def look_at(position: Sequence[float], point: Sequence[float]) -> Array:
+def look_at(position: Sequence[float], point: Sequence[float]) -> arrays.Array:
     """Return (4, 4) charger_base_T_camera of a camera at `position` that centres `point` (m), upright along +y."""
     forward = np.subtract(point, position)
     right = np.cross(forward, (0.0, 1.0, 0.0))
     forward, right = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
-    return transform(np.column_stack([right, np.cross(forward, right), forward]), position)
+    return terminal.transform(np.column_stack([right, np.cross(forward, right), forward]), position)
 
 
 def line_angle(x: float, y: float) -> float:
@@ -224,12 +222,12 @@ def line_angle(x: float, y: float) -> float:
     return angle - math.copysign(math.pi, angle) if not -0.5 * math.pi < angle <= 0.5 * math.pi else angle
 
 
-def pose_numbers(pose: Array) -> tuple[float, ...]:
+def pose_numbers(pose: arrays.Array) -> tuple[float, ...]:
     """Return a pose (4, 4) as numbers for `Mount.from_numbers`: x, y, z in m, then the quaternion x, y, z, w."""
     return tuple(float(value) for value in (*pose[:3, 3], *quaternion(pose[:3, :3])))
 
 
-def quaternion(rotation: Array) -> Array:
+def quaternion(rotation: arrays.Array) -> arrays.Array:
     """Return the unit quaternion (x, y, z, w), w ≥ 0, of a rotation (3, 3): the largest eigenvector (Bar-Itzhack)."""
     r = rotation
     matrix = np.array(
@@ -244,18 +242,18 @@ def quaternion(rotation: Array) -> Array:
     return np.asarray(-found if found[3] < 0.0 else found)
 
 
-def _rotation(q: Array) -> Array:
+def _rotation(q: arrays.Array) -> arrays.Array:
     """Return (3, 3) of a quaternion (x, y, z, w)."""
     length = float(np.linalg.norm(q))
     if not abs(length - 1.0) <= _UNIT:
-        raise MountError("orientation", f"a quaternion of length {length:.4g}; its length must be 1")
-    return np.array(rotation(*q))
+        raise errors.MountError("orientation", f"a quaternion of length {length:.4g}; its length must be 1")
+    return np.array(frames.rotation(*q))
 
 
 def _numbers(found: Mapping[str, Any], key: str, count: int) -> list[float]:
     values = found.get(key)
     right = isinstance(values, list) and len(values) == count
     if not right or any(isinstance(value, bool) or not isinstance(value, numbers.Real) for value in values or ()):
-        raise MountError(key, f"is {brief(values)}; give {count} numbers")
+        raise errors.MountError(key, f"is {files.brief(values)}; give {count} numbers")
     assert values is not None
     return [float(value) for value in values]

@@ -14,10 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deltacharger_core.arrays import Array
-from deltacharger_core.machine import BAR_GAP, BAR_HEIGHT, BAR_LENGTH
-from deltacharger_core.parameters import Bounded, ParameterError, from_mapping, number
-from deltacharger_core.yaml_file import YamlError, read_yaml
+from deltacharger_core import arrays, machine, parameters, yaml_file
+from deltacharger_core.parameters import number
 from deltacharger_vision.errors import TerminalError
 
 LOWER, UPPER = 0, 1
@@ -25,7 +23,7 @@ LOWER, UPPER = 0, 1
 
 
 @dataclass(frozen=True)
-class Terminal(Bounded):
+class Terminal(parameters.Bounded):
     """Two equal bars; lengths in m.
 
     The terminal's frame: origin at the midpoint between the bars on their touched faces, x along the bars, y from the
@@ -37,9 +35,9 @@ class Terminal(Bounded):
         ParameterError: a length is out of bounds.
     """
 
-    bar_length: float = number(BAR_LENGTH, 0.005, 1.0, "m", "along x (assumed)")
-    bar_height: float = number(BAR_HEIGHT, 0.001, 0.5, "m", "of one bar along y (assumed)")
-    gap: float = number(BAR_GAP, 0.0005, 0.5, "m", "between the bars along y (assumed)")
+    bar_length: float = number(machine.BAR_LENGTH, 0.005, 1.0, "m", "along x (assumed)")
+    bar_height: float = number(machine.BAR_HEIGHT, 0.001, 0.5, "m", "of one bar along y (assumed)")
+    gap: float = number(machine.BAR_GAP, 0.0005, 0.5, "m", "between the bars along y (assumed)")
     bar_thickness: float = number(0.006, 0.0, 0.1, "m", "of the bars above the plate (assumed)")
 
     @property
@@ -47,7 +45,7 @@ class Terminal(Bounded):
         """Distance between the bars' middle lines, m."""
         return self.bar_height + self.gap
 
-    def corners(self) -> Array:
+    def corners(self) -> arrays.Array:
         """Return (2, 4, 3) m: corners of the touched face of the lower, then the upper bar, in the terminal's frame.
 
         Order: (−x, −y), (+x, −y), (+x, +y), (−x, +y): counter-clockwise about +z, clockwise in an image of a camera
@@ -68,12 +66,12 @@ class Terminal(Bounded):
         """
         source = str(path)
         try:
-            found = read_yaml(path)
-        except YamlError as error:
+            found = yaml_file.read_yaml(path)
+        except yaml_file.YamlError as error:
             raise TerminalError(source, f"{error.problem}; correct it") from error
         try:
-            return from_mapping(found, Terminal)
-        except ParameterError as error:
+            return parameters.from_mapping(found, Terminal)
+        except parameters.ParameterError as error:
             raise TerminalError(source, str(error)) from error
 
 
@@ -81,19 +79,19 @@ class Terminal(Bounded):
 class TerminalPose:
     """Pose of the terminal in the optical frame: rotation (3, 3), translation (3,) m."""
 
-    rotation: Array
-    translation: Array
+    rotation: arrays.Array
+    translation: arrays.Array
 
-    def moved(self, step: Array) -> TerminalPose:
+    def moved(self, step: arrays.Array) -> TerminalPose:
         """Return the pose after a step (6,): translation (m), then rotation about the optical axes (rad)."""
         return TerminalPose(turn(step[3:]) @ self.rotation, self.translation + step[:3])
 
-    def points(self, terminal_points: Array) -> Array:
+    def points(self, terminal_points: arrays.Array) -> arrays.Array:
         """Return points (..., 3) of the terminal in the optical frame, m."""
         return np.asarray(terminal_points @ self.rotation.T + self.translation)
 
 
-def turn(vector: Array) -> Array:
+def turn(vector: arrays.Array) -> arrays.Array:
     """Return the rotation matrix of a rotation vector (3,) rad (Rodrigues)."""
     angle = float(np.linalg.norm(vector))
     skew = cross_matrix(vector)
@@ -102,14 +100,14 @@ def turn(vector: Array) -> Array:
     return np.asarray(np.eye(3) + np.sin(angle) / angle * skew + (1.0 - np.cos(angle)) / angle**2 * skew @ skew)
 
 
-def transform(rotation: Array, position: ArrayLike) -> Array:
+def transform(rotation: arrays.Array, position: ArrayLike) -> arrays.Array:
     """Return the transform (4, 4) of a rotation (3, 3) and a position (3,) m."""
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation, position
     return pose
 
 
-def cross_matrix(vector: Array) -> Array:
+def cross_matrix(vector: arrays.Array) -> arrays.Array:
     """Return [v]× of a vector (3,), so that [v]× w = v × w."""
     x, y, z = vector
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -136,12 +134,12 @@ class Detection:
         source: "both" image and depth, or "image" alone, as in ElectrodeDetection.
     """
 
-    position: Array
+    position: arrays.Array
     roll: float
-    axis: Array
-    normal: Array
-    covariance: Array
+    axis: arrays.Array
+    normal: arrays.Array
+    covariance: arrays.Array
     confidence: float
     range: float
-    bars: Array
+    bars: arrays.Array
     source: str

@@ -9,8 +9,6 @@ scene file: `parameters: {docking_node: {clearance_min: 0.001}}`. All parameters
     python examples/change_a_threshold.py [clearance_min ...]
 """
 
-from __future__ import annotations
-
 import math
 import random
 import sys

@@ -8,8 +8,6 @@ picture with the result drawn into it. The picture is simulated. Needs deltachar
     python examples/detect_in_a_picture.py [picture.png]
 """
 
-from __future__ import annotations
-
 import math
 import sys
 
@@ -18,8 +16,7 @@ import numpy as np
 
 from deltacharger_vision.detector.detector import ElectrodeDetector, annotated
 from deltacharger_vision.mount import Mount
-from deltacharger_vision.rendering.camera import SimulatedCamera
-from deltacharger_vision.rendering.scene import RenderedScene
+from deltacharger_vision.rendering import camera, scene
 
 out = sys.argv[1] if len(sys.argv) > 1 else "detection.png"
 mount = Mount.default()  # charger_base_T_camera
@@ -27,8 +24,8 @@ roll = math.radians(4.0)
 base_T_terminal = np.eye(4)  # noqa: N816
 base_T_terminal[:2, :2] = [[math.cos(roll), -math.sin(roll)], [math.sin(roll), math.cos(roll)]]
 base_T_terminal[:3, 3] = 0.012, -0.009, 0.084
-picture = SimulatedCamera().render(
-    RenderedScene(), np.linalg.inv(mount.pose) @ base_T_terminal, np.random.default_rng(1)
+picture = camera.SimulatedCamera().render(
+    scene.RenderedScene(), np.linalg.inv(mount.pose) @ base_T_terminal, np.random.default_rng(1)
 )
 
 found = ElectrodeDetector().detect(picture)  # None if no electrodes are found

@@ -5,8 +5,6 @@ Prints the arm angles and the solver's status for three points of charger_base (
 position of the dock by forward kinematics, and the servo currents for a force of 17 N there.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from deltacharger_kinematics import Delta, Status

@@ -7,8 +7,6 @@ Prints each phase, then the result. Exit code 0 if charging has begun, else 1.
     python3 examples/send_a_goal.py [z of the electrodes in charger_base, m]
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from typing import Any

@@ -6,8 +6,6 @@ tares the emulated board, reads tactile frames for one second and looks at the p
 touch nothing yet. The same calls work on real ports, where the arm moves.
 """
 
-from __future__ import annotations
-
 import time
 from typing import Any
 
@@ -16,8 +14,7 @@ from dynamixel_sdk import PacketHandler, PortHandler
 
 from deltacharger_core.machine import port_of
 from deltacharger_driver.board.link import BoardLink
-from deltacharger_sim.charger.simulated_charger import SimulatedCharger
-from deltacharger_sim.charger.simulation import Simulation
+from deltacharger_sim.charger import simulated_charger, simulation
 
 TORQUE_ENABLE, GOAL_POSITION, PRESENT_POSITION = 64, 116, 132  # registers of an MX-64
 TEN_DEGREES = 114  # counts of 4096 a turn
@@ -55,6 +52,6 @@ def talk_to_the_board(path: str) -> None:
         print(f"  {port_of(found.resistance, found.target_voltage).name} port")
 
 
-with SimulatedCharger(Simulation()) as charger:
+with simulated_charger.SimulatedCharger(simulation.Simulation()) as charger:
     talk_to_servos(charger.servo_port)
     talk_to_the_board(charger.board_port)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Loads the driver's tests again for other hardware: another board, another connection of the servos."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 from pathlib import Path

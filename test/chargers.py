@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Chargers of mocks, fast enough for tests, each in its own namespace and only on this computer."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import itertools

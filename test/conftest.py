@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Options of the suite: real devices for the driver's contract tests, the host's deadlines."""
 
-from __future__ import annotations
-
 import argparse
 
 import pytest

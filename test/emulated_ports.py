@@ -4,8 +4,6 @@
 A conftest.py imports these fixtures for the tests beside it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Marks cases of a parametrised test that run outside `make test`."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

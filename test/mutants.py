@@ -8,8 +8,6 @@ runs first the table of safety numbers, then the quick tests that mirror the bro
 folder in test/ that import it, or the whole folder if none does.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Helpers to create and call ROS nodes in tests; `spin` in chargers.py serves them."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator
 from typing import Any

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Servos for laws that have a closed form: springs, dampers and Coulomb friction, without what real gears add."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from deltacharger_sim.parameters import ServoParameters

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scripted physics behind the emulators: tests of the driver set loads, forces and voltages directly."""
 
-from __future__ import annotations
-
 import math
 import threading
 import time

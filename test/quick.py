@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters that reduce a docking from 25 s to 5 s and forgive a busy computer, for laws that hold at any speed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

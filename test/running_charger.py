@@ -20,19 +20,15 @@ from typing import Any
 from deltacharger.msg import ChargerPower, DockingState, ServoState, TactileFrame
 from rclpy.parameter import Parameter
 
-from deltacharger_bringup.scenes.composition import Composition
-from deltacharger_bringup.scenes.node_table import NODES
+from deltacharger_bringup.scenes import composition, node_table
 from deltacharger_bringup.scenes.scene import Ports, Scene
-from deltacharger_core.ros import qos
-from deltacharger_core.ros.client import ChargerClient
-from deltacharger_core.ros.on_demand import LatestMessage
-from deltacharger_core.ros.outcomes import DockRequest, Outcome, Pose, Progress
+from deltacharger_core.ros import client, on_demand, outcomes, qos
 from deltacharger_docking.ros import services as docking_services
 
 from .chargers import DEADLINE, Process, new_namespace, patience, wait_until
 from .sim.fault_world import CONTACTOR, RecordedCharger, RecordedWorld
 
-GOAL = DockRequest(Pose(0.0, 0.0, 0.080))
+GOAL = outcomes.DockRequest(outcomes.Pose(0.0, 0.0, 0.080))
 _LOOK = 1.0  # s between docking_node's checks for second sources while it rests
 
 CommandLine = Callable[[Path, str], Sequence[str]]
@@ -47,7 +43,7 @@ def up(file: Path, namespace: str) -> Sequence[str]:
 
 def node_command(scene: Scene, name: str, namespace: str) -> list[str]:
     """Return the command line of one node of a scene, as `ros2 run` starts it."""
-    words = [sys.executable, "-c", f"import sys; from {NODES[name].module} import main; sys.exit(main())"]
+    words = [sys.executable, "-c", f"import sys; from {node_table.NODES[name].module} import main; sys.exit(main())"]
     words += ["--ros-args", "-r", f"__ns:=/{namespace}"]
     for key, value in scene.node_parameters(name, {}).items():
         words += ["-p", f"{key}:={value if isinstance(value, str) else json.dumps(value)}"]
@@ -86,7 +82,7 @@ class RunningCharger:
     ) -> None:
         self.namespace = namespace or new_namespace()
         self.emulators: RecordedCharger | None = None
-        self.composition: Composition | None = None
+        self.composition: composition.Composition | None = None
         self.processes: dict[str, Process] = {}
         self.states: list[DockingState] = []
         self.phase = ""
@@ -105,11 +101,11 @@ class RunningCharger:
                     self.processes[name] = Process(*node_command(self.scene, name, self.namespace))
             if command is None and not set(apart) >= set(scene.nodes):
                 part = replace(self.scene, nodes=tuple(name for name in scene.nodes if name not in apart))
-                self.composition = opened.enter_context(Composition(part, context, self.namespace))
-            self.client = opened.enter_context(ChargerClient(self.namespace, context))
+                self.composition = opened.enter_context(composition.Composition(part, context, self.namespace))
+            self.client = opened.enter_context(client.ChargerClient(self.namespace, context))
             node = self.client.node
             self._topics = {
-                kind: LatestMessage(node, kind, name, quality)
+                kind: on_demand.LatestMessage(node, kind, name, quality)
                 for kind, name, quality in (
                     (ServoState, "servo_state", qos.LATEST),
                     (TactileFrame, "tactile_frame", qos.SENSOR),
@@ -208,15 +204,15 @@ class RunningCharger:
 
     # Goals
 
-    def dock(self, request: DockRequest = GOAL, on_progress: Any = None, **options: Any) -> Outcome:
+    def dock(self, request: outcomes.DockRequest = GOAL, on_progress: Any = None, **options: Any) -> outcomes.Outcome:
         """Send one goal and return its outcome."""
         return self.client.dock(request, self._noting(on_progress), **({"deadline": DEADLINE} | options))
 
-    def undock(self, **options: Any) -> Outcome:
+    def undock(self, **options: Any) -> outcomes.Outcome:
         """Undock, and return the outcome."""
         return self.client.undock(on_progress=self._noting(None), **({"deadline": DEADLINE} | options))
 
-    def charge(self, request: DockRequest = GOAL) -> Outcome:
+    def charge(self, request: outcomes.DockRequest = GOAL) -> outcomes.Outcome:
         """Dock, which must succeed, and return the outcome."""
         outcome = self.dock(request)
         assert outcome.success, outcome
@@ -230,13 +226,13 @@ class RunningCharger:
         self.assert_safe()
 
     def begin(
-        self, phase: str, act: Callable[[], Outcome] | None = None, then: Callable[[], None] = lambda: None
-    ) -> Future[Outcome]:
+        self, phase: str, act: Callable[[], outcomes.Outcome] | None = None, then: Callable[[], None] = lambda: None
+    ) -> Future[outcomes.Outcome]:
         """Dock, or act, in another thread until the goal reaches a phase; return the future of its outcome.
 
         A phase may last for milliseconds only: `then` is called in the client's thread as soon as it is reported.
         """
-        future: Future[Outcome] = Future()
+        future: Future[outcomes.Outcome] = Future()
         reached = threading.Event()
 
         def note() -> None:
@@ -256,8 +252,8 @@ class RunningCharger:
         assert reached.is_set(), future.result()
         return future
 
-    def _noting(self, on_progress: Any) -> Callable[[Progress], None]:
-        def note(progress: Progress) -> None:
+    def _noting(self, on_progress: Any) -> Callable[[outcomes.Progress], None]:
+        def note(progress: outcomes.Progress) -> None:
             self.phase = progress.phase
             if self._awaited[0] == progress.phase:
                 self._awaited[1]()
@@ -281,7 +277,7 @@ class RunningCharger:
         self._restarted = True
         if self.struck.pop(name) == signal.SIGKILL:
             self.processes[name].process.wait(DEADLINE)
-            here = NODES[name].stands_in_for or name, f"/{self.namespace}"
+            here = node_table.NODES[name].stands_in_for or name, f"/{self.namespace}"
             wait_until(lambda: here not in self.client.node.get_node_names_and_namespaces(), f"the end of {name}")
             if name == "docking_node":
                 self.states.clear()

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checks the documentation: links have targets, commands parse, names exist."""
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every file in examples/ runs unchanged and prints what its docstring promises."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Import rules: libraries below, ROS as a thin layer on top, no upward imports, no two files importing each other."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

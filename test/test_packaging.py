@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rules of pyproject.toml and package.xml: few required libraries, each with its reason; a licence on every file."""
 
-from __future__ import annotations
-
 import importlib
 import re
 import sys

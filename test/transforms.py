@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Minimal publishers of a robot's transforms: robot_state_publisher and localization."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from typing import Any

@@ -4,8 +4,6 @@
 Calibrations of hundreds of random arms need it: real time is too slow. It has servos and a world, but no docking.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Waits for a condition with a deadline, never for a fixed time."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import TypeVar

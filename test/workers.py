@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Isolates processes that run tests in parallel (`pytest -n 2`): separate nodes, locks and sockets."""
 
-from __future__ import annotations
-
 import atexit
 import ctypes
 import os

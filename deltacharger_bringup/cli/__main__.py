@@ -4,8 +4,6 @@
 Also runs it from the sources: python -m deltacharger_bringup.cli.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

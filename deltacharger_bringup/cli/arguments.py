@@ -12,19 +12,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
-from deltacharger_bringup.cli.output import (
-    FAILED,
-    WRONG_INPUT,
-    CommandError,
-    Result,
-    WrongInput,
-    is_wrong_path,
-    print_text,
-    show,
-)
-from deltacharger_core import streams
-from deltacharger_core.environment import package_version
-from deltacharger_core.texts import ON_ROBOT
+from deltacharger_bringup.cli import output
+from deltacharger_core import environment, streams, texts
 
 DEFAULT_SCENE = "simulated"
 _PICTURES = (".png", ".pdf", ".svg", ".jpg", ".jpeg")
@@ -60,7 +49,7 @@ class Parser(argparse.ArgumentParser):
                 message += f", one of {', '.join(map(str, action.choices))}"
         message = streams.shortened(message)
         if Parser.wants_json:
-            show(Result(details={"error": message}, code=WRONG_INPUT), as_json=True)
+            output.show(output.Result(details={"error": message}, code=output.WRONG_INPUT), as_json=True)
         super().error(message)
 
     def _print_message(self, message: str, file: Any = None) -> None:
@@ -73,7 +62,7 @@ class Version(argparse.Action):
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
         """Print the version and end the process."""
-        print_text(f"deltacharger {package_version()}")
+        output.print_text(f"deltacharger {environment.package_version()}")
         parser.exit()
 
 
@@ -153,7 +142,7 @@ def namespace(text: str) -> str:
 
 
 NOT_NEGATIVE = between(0.0, 2e9)  # range of a Duration's seconds
-MILLIMETRES = between(-1e3 * ON_ROBOT, 1e3 * ON_ROBOT)
+MILLIMETRES = between(-1e3 * texts.ON_ROBOT, 1e3 * texts.ON_ROBOT)
 DEGREES = between(-90.0, 90.0)
 SEED = integer(0, 2**32 - 1)
 
@@ -166,7 +155,7 @@ def deadline(text: str) -> float:
 def file_to_read(flag: str, name: str) -> Path:
     """Return an existing path, which its reader checks; CommandError with exit code 2 if there is none."""
     if not Path(name).exists():
-        raise WrongInput(f"{flag} {name}: there is no such file")
+        raise output.WrongInput(f"{flag} {name}: there is no such file")
     return Path(name)
 
 
@@ -184,22 +173,22 @@ def file_to_write(flag: str, name: str, kind: str = "", overwrite: bool = True) 
     """
     path = Path(name)
     if kind and path.suffix != kind:
-        raise WrongInput(f"{flag} '{name}': the name must end in {kind}", file=name)
+        raise output.WrongInput(f"{flag} '{name}': the name must end in {kind}", file=name)
     if not path.parent.is_dir():
         problem = f"{flag} {name}: the folder {path.parent} does not exist; create it"
-        raise WrongInput(problem, file=name)
+        raise output.WrongInput(problem, file=name)
     if path.is_dir() or not (os.access(path, os.W_OK) if path.exists() else _takes_files(path.parent)):
-        raise WrongInput(f"{flag} {name}: cannot be written; give another file", file=name)
+        raise output.WrongInput(f"{flag} {name}: cannot be written; give another file", file=name)
     if path.exists() and not overwrite:
         problem = f"{path} exists: choose another name, or overwrite it with --force"
-        raise WrongInput(problem, file=name)
+        raise output.WrongInput(problem, file=name)
     return path
 
 
 def picture_to_write(name: str) -> Path:
     """Return the path of `--picture`, with a suffix that matplotlib supports; errors as in `file_to_write`."""
     if Path(name).suffix.lower() not in _PICTURES:
-        raise WrongInput(f"--picture '{name}': the name must end in {', '.join(_PICTURES)}", file=name)
+        raise output.WrongInput(f"--picture '{name}': the name must end in {', '.join(_PICTURES)}", file=name)
     return file_to_write("--picture", name)
 
 
@@ -209,10 +198,12 @@ def folder_to_write(flag: str, name: str) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        code = WRONG_INPUT if is_wrong_path(error) else FAILED
-        raise CommandError(f"{flag} {name}: cannot be a folder ({error.strerror}); give another", code) from error
+        code = output.WRONG_INPUT if output.is_wrong_path(error) else output.FAILED
+        raise output.CommandError(
+            f"{flag} {name}: cannot be a folder ({error.strerror}); give another", code
+        ) from error
     if not _takes_files(folder):
-        raise WrongInput(f"{flag} {name}: the folder is not writable; give another one")
+        raise output.WrongInput(f"{flag} {name}: the folder is not writable; give another one")
     return folder
 
 
@@ -226,6 +217,6 @@ def _takes_files(folder: Path) -> bool:
         with tempfile.TemporaryFile(dir=folder):
             return True
     except OSError as error:
-        if not is_wrong_path(error):
+        if not output.is_wrong_path(error):
             raise
         return False

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`deltacharger calibrate camera`: pose of the camera, with its error, from images of a board on the platform."""
 
-from __future__ import annotations
-
 import argparse
 import datetime
 import math
@@ -12,28 +10,21 @@ from typing import Any
 
 import numpy as np
 
-from deltacharger_bringup.cli.arguments import between, file_to_write, integer, namespace_option
-from deltacharger_bringup.cli.calibrate_kinematics import geometry_of
-from deltacharger_bringup.cli.camera_views import VIEWS, SeenViews, ViewsError, gather, read_rows
-from deltacharger_bringup.cli.charger import prepare, ros_context
-from deltacharger_bringup.cli.output import CommandError, Interrupts, Result, WrongInput, conclude, wrong_input
-from deltacharger_core.files import sha256
-from deltacharger_core.machine import DOCK_DISTANCE
-from deltacharger_core.parameters import ParameterError
+from deltacharger_bringup.cli import arguments, calibrate_kinematics, camera_views, charger, output
+from deltacharger_core import files, machine, parameters
 from deltacharger_kinematics.calibration.data import MILLIMETRE
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
+from deltacharger_vision import image_files, mount
 from deltacharger_vision.errors import VisionError
 from deltacharger_vision.hand_eye.board import Board
 from deltacharger_vision.hand_eye.calibrate import Calibration, calibrate, doubts, held_out_rms, notes
 from deltacharger_vision.hand_eye.fit import Beliefs
-from deltacharger_vision.image_files import CAMERA_INFO, load_camera_info, require_opencv
-from deltacharger_vision.mount import Mount, quaternion
 from deltacharger_vision.rendering.board_drawing import board_svg
 
 _FAR = (0.020, math.radians(10.0))
 """Distance from the believed mount, m and rad; beyond it a wrong input is likelier than a bent bracket."""
 _SATURATED = 250  # of 255
-_DOCK = (0.0, 0.0, DOCK_DISTANCE)
+_DOCK = (0.0, 0.0, machine.DOCK_DISTANCE)
 """Point of charger_base (m) for which the mount's error is reported: the dock."""
 
 
@@ -50,7 +41,7 @@ class _Judged:
     """
 
     found: Calibration
-    seen: SeenViews
+    seen: camera_views.SeenViews
     away: tuple[float, float]
     doubts: list[str]
     notes: list[str]
@@ -70,37 +61,43 @@ def add_camera(parser: argparse.ArgumentParser) -> None:
     text = "apriltag:FAMILY:NUMBER (apriltag:36h11:0)"
     add("--board", default="apriltag:36h11:0", metavar="NAME", help=text)
     text = "side of the tag's black square (40)"
-    add("--size-mm", type=between(2.0, 1000.0), default=40.0, metavar="MM", help=text)
+    add("--size-mm", type=arguments.between(2.0, 1000.0), default=40.0, metavar="MM", help=text)
     for axis in "xyz":
         text = f"measured position of its centre along {axis} of end_effector"
-        add(f"--board-{axis}-mm", type=between(-500.0, 500.0), metavar="MM", help=text)
+        add(f"--board-{axis}-mm", type=arguments.between(-500.0, 500.0), metavar="MM", help=text)
     add = parser.add_argument_group("prior knowledge, as standard deviations").add_argument
     text = "of the board's measured centre, each direction (0.5)"
-    add("--board-stddev-mm", type=between(0.0, 50.0), default=0.5, metavar="MM", help=text)
+    add("--board-stddev-mm", type=arguments.between(0.0, 50.0), default=0.5, metavar="MM", help=text)
     add = parser.add_argument_group("with a running charger").add_argument
-    add("--take", type=integer(5, 500), metavar="N", help="first fill FOLDER up to N views; 20 are enough")
-    add("--z-max-mm", type=between(5.0, 110.0), default=60.0, metavar="MM", help="largest z of the platform (60)")
+    add("--take", type=arguments.integer(5, 500), metavar="N", help="first fill FOLDER up to N views; 20 are enough")
+    add(
+        "--z-max-mm",
+        type=arguments.between(5.0, 110.0),
+        default=60.0,
+        metavar="MM",
+        help="largest z of the platform (60)",
+    )
     text = "of the camera, with camera_info beside it (color/image_raw)"
     add("--color-topic", default="color/image_raw", metavar="NAME", help=text)
-    namespace_option(parser)
+    arguments.namespace_option(parser)
 
 
-def camera(options: argparse.Namespace) -> Result:
+def camera(options: argparse.Namespace) -> output.Result:
     """Take views on request, fit the mount, judge it, and write it unless it is doubtful."""
-    with wrong_input(VisionError, ViewsError, ParameterError):
-        require_opencv()
+    with output.wrong_input(VisionError, camera_views.ViewsError, parameters.ParameterError):
+        image_files.require_opencv()
         for flag in ("out", "print"):
             if getattr(options, flag) is not None:
-                file_to_write(f"--{flag}", getattr(options, flag), overwrite=options.force)
+                arguments.file_to_write(f"--{flag}", getattr(options, flag), overwrite=options.force)
         board = Board.named(options.board, options.size_mm * MILLIMETRE)
         if options.print is not None:
             return _print(options, board)
         if options.views is None:
-            raise WrongInput("give --views FOLDER, or --print FILE.svg for a board")
-        offset, geometry = _offset(options), geometry_of(options.geometry)
+            raise output.WrongInput("give --views FOLDER, or --print FILE.svg for a board")
+        offset, geometry = _offset(options), calibrate_kinematics.geometry_of(options.geometry)
         if options.take is not None:
-            prepare(options, look_around=True)
-            with Interrupts() as interrupts, ros_context() as context:
+            charger.prepare(options, look_around=True)
+            with output.Interrupts() as interrupts, charger.ros_context() as context:
                 from deltacharger_bringup.cli.take_views import take
 
                 take(options, board, offset, geometry, context, interrupts)
@@ -110,17 +107,17 @@ def camera(options: argparse.Namespace) -> Result:
         def save(path: str) -> None:
             judged.found.mount.save(path, _about(options, judged))
 
-        return conclude(options, bool(doubts), save, _as_text(judged), _as_mapping(judged), remarks)
+        return output.conclude(options, bool(doubts), save, _as_text(judged), _as_mapping(judged), remarks)
 
 
-def _print(options: argparse.Namespace, board: Board) -> Result:
+def _print(options: argparse.Namespace, board: Board) -> output.Result:
     """Draw the board."""
     if Path(options.print).suffix.lower() != ".svg":
-        raise WrongInput(f"--print {options.print}: give a name that ends in .svg")
+        raise output.WrongInput(f"--print {options.print}: give a name that ends in .svg")
     Path(options.print).write_text(board_svg(board), encoding="utf-8")
     side = board.size / MILLIMETRE
     how = f"print it at 100 % (no 'fit to page') on matte paper; the black square must measure {side:g} × {side:g} mm"
-    return Result(f"wrote {options.print}", {"written": options.print, "size": board.size}, remarks=[how])
+    return output.Result(f"wrote {options.print}", {"written": options.print, "size": board.size}, remarks=[how])
 
 
 def _offset(options: argparse.Namespace) -> Vector:
@@ -128,7 +125,7 @@ def _offset(options: argparse.Namespace) -> Vector:
     values = {axis: getattr(options, f"board_{axis}_mm") for axis in "xyz"}
     missing = [f"--board-{axis}-mm" for axis, value in values.items() if value is None]
     if missing:
-        raise WrongInput(
+        raise output.WrongInput(
             f"give {', '.join(missing)}: the position of the board's centre in end_effector, measured with a ruler; "
             "images do not show it, because the platform never turns"
         )
@@ -138,14 +135,14 @@ def _offset(options: argparse.Namespace) -> Vector:
 
 def _judge(options: argparse.Namespace, board: Board, offset: Vector, geometry: DeltaGeometry) -> _Judged:
     folder = Path(options.views)
-    rows = read_rows(folder)
-    intrinsics = load_camera_info(folder / CAMERA_INFO)
-    seen = gather(folder, rows, board, intrinsics, geometry)
+    rows = camera_views.read_rows(folder)
+    intrinsics = image_files.load_camera_info(folder / image_files.CAMERA_INFO)
+    seen = camera_views.gather(folder, rows, board, intrinsics, geometry)
     if not seen.views:
         hint = f"is it sharp, lit, not cut off, and {board.name} at all?"
-        raise CommandError(f"none of {len(rows)} images shows the board: {hint}", views=len(rows))
+        raise output.CommandError(f"none of {len(rows)} images shows the board: {hint}", views=len(rows))
     found = calibrate(seen.views, intrinsics, Beliefs(offset, options.board_stddev_mm * MILLIMETRE))
-    away = _away(found.mount, Mount.load(options.mount) if options.mount else Mount.default())
+    away = _away(found.mount, mount.Mount.load(options.mount) if options.mount else mount.Mount.default())
     remarks = [*notes(found, seen.names), *_slips(away)]
     if seen.without:
         remarks.append(f"{len(seen.without)} of {len(rows)} images do not show the board: {_few(seen.without)}")
@@ -154,7 +151,7 @@ def _judge(options: argparse.Namespace, board: Board, offset: Vector, geometry: 
     return _Judged(found, seen, away, doubts(found, board.size, seen.names), remarks)
 
 
-def _away(found: Mount, believed: Mount) -> tuple[float, float]:
+def _away(found: mount.Mount, believed: mount.Mount) -> tuple[float, float]:
     """Return the distance of a mount from the believed one, m and rad."""
     turned = 0.5 * (float(np.trace(found.pose[:3, :3] @ believed.pose[:3, :3].T)) - 1.0)
     distance = float(np.linalg.norm(found.pose[:3, 3] - believed.pose[:3, 3]))
@@ -186,7 +183,7 @@ def _as_mapping(judged: _Judged) -> dict[str, Any]:
     return {
         "frame": "charger_base",
         "position": found.mount.pose[:3, 3].tolist(),
-        "orientation": quaternion(found.mount.pose[:3, :3]).tolist(),
+        "orientation": mount.quaternion(found.mount.pose[:3, :3]).tolist(),
         "covariance": found.mount.covariance.tolist(),
         "dock_stddev": _point_stddev(found),
         "views": len(judged.seen.names),
@@ -201,7 +198,7 @@ def _as_text(judged: _Judged) -> str:
     """Return everything for people."""
     found, kept = judged.found, judged.found.fit.kept
     place, spread = found.mount.pose[:3, 3] / MILLIMETRE, np.sqrt(np.diag(found.mount.covariance))
-    turned = " ".join(f"{value:.6f}" for value in quaternion(found.mount.pose[:3, :3]))
+    turned = " ".join(f"{value:.6f}" for value in mount.quaternion(found.mount.pose[:3, :3]))
     errors = ", ".join(f"{at:.2f} ± {stddev / MILLIMETRE:.2f}" for at, stddev in zip(place, spread[:3], strict=True))
     rows = [
         ("views", f"{len(kept)} show the board, {np.count_nonzero(kept)} agree"),
@@ -223,7 +220,7 @@ def _about(options: argparse.Namespace, judged: _Judged) -> dict[str, Any]:
         "by": "deltacharger calibrate camera",
         "date": f"{datetime.datetime.now(datetime.timezone.utc):%Y-%m-%dT%H:%MZ}",
         "views": Path(options.views).absolute().name,
-        "sha256": sha256(Path(options.views) / VIEWS),
+        "sha256": files.sha256(Path(options.views) / camera_views.VIEWS),
         "geometry": Path(options.geometry).name if options.geometry else "built-in",
         "images": len(judged.seen.names),
         "held_out_rms": round(held_out_rms(judged.found), 6),

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`deltacharger calibrate tactile`: calibrate a rig's pads from dockings at known poses, and judge the result."""
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import datetime
@@ -14,16 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_bringup.cli.arguments import file_to_read, file_to_write, integer
-from deltacharger_bringup.cli.output import Result, WrongInput, conclude, wrong_input
+from deltacharger_bringup.cli import arguments, output
 from deltacharger_core.files import sha256
-from deltacharger_tactile import MODEL_PATH
+from deltacharger_tactile import MODEL_PATH, dataset, errors, estimator
 from deltacharger_tactile.calibration import fit as pad_fit
 from deltacharger_tactile.calibration.fit import JITTER, MISFIT_LIMIT, KnownDockings, PadFaults, PadFit, Tares, Worth
 from deltacharger_tactile.calibration.rig import AXES, SHIFT_LIMIT, SIDES, TactileCalibration
-from deltacharger_tactile.dataset import Dataset
-from deltacharger_tactile.errors import SensorCalibrationError, TactileError
-from deltacharger_tactile.estimator import PoseEstimator
 
 _FEW = 30  # dockings; with fewer, most gains stay near 1
 _JITTERS = 3.0  # docking jitters; limit of the errors of a well-mounted rig
@@ -36,7 +30,7 @@ def add_tactile(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--data", required=True, metavar="F.npz", help="dockings at known poses, of `tactile record`")
     add("--out", required=True, metavar="FILE", help="file to write, for misalignment_node")
-    add("--rig", type=integer(0, 2**31 - 1), metavar="N", help="rig, if the data contain several")
+    add("--rig", type=arguments.integer(0, 2**31 - 1), metavar="N", help="rig, if the data contain several")
     add("--model", metavar="M.npz", help="pose model (default: the packaged one)")
     add("--force", action="store_true", help="overwrite FILE, also if estimates get worse")
 
@@ -50,10 +44,10 @@ class _Found:
     doubts: list[str]
 
 
-def tactile(options: argparse.Namespace) -> Result:
+def tactile(options: argparse.Namespace) -> output.Result:
     """Calibrate, judge, and write the calibration unless it makes estimates worse."""
-    file_to_write("--out", options.out, overwrite=options.force)
-    with wrong_input(TactileError, file=options.data):
+    arguments.file_to_write("--out", options.out, overwrite=options.force)
+    with output.wrong_input(errors.TactileError, file=options.data):
         data, model = _read(options)
         found = _calibrate(data, model, options)
 
@@ -61,23 +55,23 @@ def tactile(options: argparse.Namespace) -> Result:
         found.fit.calibration.save(path, _header(options, found))
 
     refused = bool(found.worth.worse.any())
-    return conclude(options, refused, save, _as_text(found), _as_mapping(found), found.doubts)
+    return output.conclude(options, refused, save, _as_text(found), _as_mapping(found), found.doubts)
 
 
-def _read(options: argparse.Namespace) -> tuple[Dataset, PoseEstimator]:
-    model = MODEL_PATH if options.model is None else file_to_read("--model", options.model)
-    return Dataset.load(file_to_read("--data", options.data)), PoseEstimator.load(model)
+def _read(options: argparse.Namespace) -> tuple[dataset.Dataset, estimator.PoseEstimator]:
+    model = MODEL_PATH if options.model is None else arguments.file_to_read("--model", options.model)
+    return dataset.Dataset.load(arguments.file_to_read("--data", options.data)), estimator.PoseEstimator.load(model)
 
 
-def _calibrate(data: Dataset, model: PoseEstimator, options: argparse.Namespace) -> _Found:
+def _calibrate(data: dataset.Dataset, model: estimator.PoseEstimator, options: argparse.Namespace) -> _Found:
     dockings = pad_fit.select(data, options.rig)
     faults = pad_fit.find(dockings)
     tares = pad_fit.compare_tares(dockings, faults.dead)
     pads = _doubts_of_pads(faults, tares, model)
     try:
         fit = pad_fit.fit(dockings, model)
-    except SensorCalibrationError as error:
-        raise WrongInput("; ".join([str(error), *pads]), file=options.data) from error
+    except errors.SensorCalibrationError as error:
+        raise output.WrongInput("; ".join([str(error), *pads]), file=options.data) from error
     worth = pad_fit.judge(dockings, model)
     stamped = dataclasses.replace(
         fit.calibration,
@@ -90,7 +84,7 @@ def _calibrate(data: Dataset, model: PoseEstimator, options: argparse.Namespace)
     return _Found(faults, tares, fit, worth, [*pads, *_doubts_of_fit(dockings, fit, worth)])
 
 
-def _doubts_of_pads(faults: PadFaults, tares: Tares, model: PoseEstimator) -> list[str]:
+def _doubts_of_pads(faults: PadFaults, tares: Tares, model: estimator.PoseEstimator) -> list[str]:
     doubts = []
     most = int(faults.dead.sum(axis=(1, 2)).max())
     if most > model.limits.pad_dead:

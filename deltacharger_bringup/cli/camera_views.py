@@ -9,8 +9,6 @@ Columns of views.csv: image, and angle_0_rad,angle_1_rad,angle_2_rad as servo_no
 are comments.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,15 +17,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_core.files import append_text
-from deltacharger_core.yaml_file import write_yaml
+from deltacharger_core import files, yaml_file
 from deltacharger_kinematics.calibration.data import RADIANS, CalibrationError, read_table
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_vision import image_files, images
 from deltacharger_vision.hand_eye.board import Board
 from deltacharger_vision.hand_eye.fit import View
-from deltacharger_vision.image_files import CAMERA_INFO, PICTURES, read_color, write_picture
-from deltacharger_vision.images import Intrinsics, project, rgb8
 from deltacharger_vision.mount import Mount
 
 VIEWS = "views.csv"
@@ -91,15 +87,15 @@ def read_rows(folder: Path) -> list[Row]:
     rows = []
     for line, cells, (first, second, third) in zip(table.lines, table.rows, values, strict=True):
         image = cells[_IMAGE]
-        if Path(image).suffix.lower() not in PICTURES or Path(image).name != image:
-            problem = f"line {line}: image '{image}'; give a {', '.join(PICTURES)} file of the same folder"
+        if Path(image).suffix.lower() not in image_files.PICTURES or Path(image).name != image:
+            problem = f"line {line}: image '{image}'; give a {', '.join(image_files.PICTURES)} file of the same folder"
             raise ViewsError(path, problem)
         rows.append(Row(image, line, (first, second, third)))
     return rows
 
 
 def gather(
-    folder: Path, rows: Sequence[Row], board: Board, intrinsics: Intrinsics, geometry: DeltaGeometry
+    folder: Path, rows: Sequence[Row], board: Board, intrinsics: images.Intrinsics, geometry: DeltaGeometry
 ) -> SeenViews:
     """Search the image of each row for the board.
 
@@ -127,7 +123,7 @@ def gather(
 
 def read_pixels(path: Path) -> NDArray[np.uint8]:
     """Return an image as (H, W, 3) RGB, uint8; errors as in `read_color`."""
-    return rgb8(read_color(path))
+    return images.rgb8(image_files.read_color(path))
 
 
 class ViewsFolder:
@@ -145,39 +141,39 @@ class ViewsFolder:
         OSError: it cannot be read or written.
     """
 
-    def __init__(self, folder: Path, intrinsics: Intrinsics) -> None:
+    def __init__(self, folder: Path, intrinsics: images.Intrinsics) -> None:
         self._folder = folder
         self.angles: list[Vector] = []
         folder.mkdir(parents=True, exist_ok=True)
         if (folder / VIEWS).exists():
             self._resume(intrinsics)
             return
-        if any(path.name != CAMERA_INFO for path in folder.iterdir()):
+        if any(path.name != image_files.CAMERA_INFO for path in folder.iterdir()):
             raise ViewsError(folder, f"contains other files and no {VIEWS}; give a new folder")
-        write_yaml(folder / CAMERA_INFO, camera_info(intrinsics))
-        append_text(self._folder / VIEWS, f"{','.join(_COLUMNS)}\n")
+        yaml_file.write_yaml(folder / image_files.CAMERA_INFO, camera_info(intrinsics))
+        files.append_text(self._folder / VIEWS, f"{','.join(_COLUMNS)}\n")
 
     def add(self, image: NDArray[np.uint8], angles: Vector) -> str:
         """Add an image (H, W, 3) and the arm's angles (rad) at it; return its name when both are stored."""
         name = f"view_{len(self.angles) + 1:03}.png"
-        write_picture(self._folder / name, image)
-        append_text(self._folder / VIEWS, ",".join([name, *(f"{angle:.7f}" for angle in angles)]) + "\n")
+        image_files.write_picture(self._folder / name, image)
+        files.append_text(self._folder / VIEWS, ",".join([name, *(f"{angle:.7f}" for angle in angles)]) + "\n")
         self.angles.append(angles)
         return name
 
-    def _resume(self, intrinsics: Intrinsics) -> None:
+    def _resume(self, intrinsics: images.Intrinsics) -> None:
         from deltacharger_vision.image_files import load_camera_info
 
         rows = read_rows(self._folder)
         ours = all(row.image == f"view_{n:03}.png" for n, row in enumerate(rows, start=1))
-        if not ours or not (self._folder / CAMERA_INFO).is_file():
+        if not ours or not (self._folder / image_files.CAMERA_INFO).is_file():
             raise ViewsError(self._folder, "was not filled by --take; give a new folder")
-        if load_camera_info(self._folder / CAMERA_INFO) != intrinsics:
+        if load_camera_info(self._folder / image_files.CAMERA_INFO) != intrinsics:
             raise ViewsError(self._folder, "has other intrinsics than the camera has now; give a new folder")
         self.angles = [row.angles for row in rows]
 
 
-def camera_info(intrinsics: Intrinsics) -> dict[str, Any]:
+def camera_info(intrinsics: images.Intrinsics) -> dict[str, Any]:
     """Return intrinsics in the form that `load_camera_info` reads from YAML."""
     coefficients = list(intrinsics.distortion) or [0.0] * 5
     return {
@@ -198,7 +194,7 @@ def _stand(path: Path, row: Row, kinematics: ScalarDelta) -> tuple[NDArray[np.fl
     return np.array(position), slope
 
 
-def _pixels(path: Path, intrinsics: Intrinsics) -> NDArray[np.uint8]:
+def _pixels(path: Path, intrinsics: images.Intrinsics) -> NDArray[np.uint8]:
     pixels = read_pixels(path)
     height, width = pixels.shape[:2]
     if (width, height) != (intrinsics.width, intrinsics.height):
@@ -211,7 +207,7 @@ def _pixels(path: Path, intrinsics: Intrinsics) -> NDArray[np.uint8]:
 
 
 def view_places(
-    geometry: DeltaGeometry, farthest: float, mount: Mount, intrinsics: Intrinsics, offset: Vector, radius: float
+    geometry: DeltaGeometry, farthest: float, mount: Mount, intrinsics: images.Intrinsics, offset: Vector, radius: float
 ) -> Iterator[Vector]:
     """Yield positions (m, charger_base) that the camera sees: a Halton sequence in the workspace box.
 
@@ -235,12 +231,14 @@ def view_places(
         yield float(point[0]), float(point[1]), float(point[2])
 
 
-def _visible(centres: NDArray[np.float64], mount: Mount, intrinsics: Intrinsics, radius: float) -> NDArray[np.bool_]:
+def _visible(
+    centres: NDArray[np.float64], mount: Mount, intrinsics: images.Intrinsics, radius: float
+) -> NDArray[np.bool_]:
     """Return which spheres of `radius` m around `centres` (N, 3) are in the image."""
     turn, place = mount.pose[:3, :3], mount.pose[:3, 3]
     camera = (centres - place) @ turn
     before = camera[:, 2] > _NEAREST + radius
-    pixels = project(np.where(before[:, None], camera, (0.0, 0.0, 1.0)), intrinsics)
+    pixels = images.project(np.where(before[:, None], camera, (0.0, 0.0, 1.0)), intrinsics)
     margin = radius * np.array([intrinsics.fx, intrinsics.fy]) / np.maximum(camera[:, 2:], _NEAREST)
     inside = (pixels > margin) & (pixels < np.array([intrinsics.width, intrinsics.height]) - margin)
     return np.asarray(before & inside.all(axis=1))

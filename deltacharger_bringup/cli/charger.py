@@ -16,18 +16,7 @@ import time
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from deltacharger_bringup.cli.arguments import DEFAULT_SCENE, namespace_option, record_option, scene_option
-from deltacharger_bringup.cli.output import (
-    DONE,
-    FAILED,
-    WRONG_INPUT,
-    CommandError,
-    Interrupts,
-    Result,
-    WrongInput,
-    answer,
-    log_line,
-)
+from deltacharger_bringup.cli import arguments, output
 from deltacharger_core import environment, real_time, runtime
 
 if TYPE_CHECKING:
@@ -57,7 +46,7 @@ def prepare(options: argparse.Namespace, look_around: bool = False) -> Scene:
     from deltacharger_bringup.cli.scene import load_for_command  # takes hundreds of ms, so --help does not import it
 
     given = getattr(options, "scene", None)  # some commands have no --scene
-    scene = load_for_command(given or DEFAULT_SCENE)
+    scene = load_for_command(given or arguments.DEFAULT_SCENE)
     environment.prepare()
     require_domain()
     options.discovery, options.must_run = DISCOVERY, False
@@ -67,7 +56,7 @@ def prepare(options: argparse.Namespace, look_around: bool = False) -> Scene:
         return scene
     both = look_around and given is None and not os.environ.get("ROS_DOMAIN_ID")
     if both and _answers_by_default(options.namespace):
-        log_line("using the charger in ROS domain 0")
+        output.log_line("using the charger in ROS domain 0")
         options.searched, options.must_run = "0", True
         return dataclasses.replace(scene, goal=None)  # the goal of a simulated scene is wrong for a real target
     environment.isolate()
@@ -84,7 +73,7 @@ def require_domain() -> None:
     """
     problem = environment.domain_problem()
     if problem:
-        raise WrongInput(problem)
+        raise output.WrongInput(problem)
 
 
 def _answers_by_default(namespace: str) -> bool:
@@ -104,7 +93,7 @@ def ros_context() -> Iterator[Context]:
         CommandError: ROS cannot start; exit code 2.
     """
     if problem := environment.problem():
-        raise WrongInput(problem)
+        raise output.WrongInput(problem)
     try:
         import deltacharger.action  # noqa: F401  (fails here if the interfaces are not built)
         import rclpy
@@ -112,7 +101,7 @@ def ros_context() -> Iterator[Context]:
         from rclpy.signals import SignalHandlerOptions
     except ImportError as error:
         cause = str(error).partition("\n")[0]
-        raise WrongInput(
+        raise output.WrongInput(
             f"ROS 2 or the built interfaces cannot be loaded ({cause}): install the package or source its workspace; "
             f"if another ROS is sourced, {environment.NEW_SHELL}"
         ) from error
@@ -124,10 +113,10 @@ def ros_context() -> Iterator[Context]:
         rclpy.try_shutdown(context=context)
 
 
-def refusal(exit_code: int, holder: str = "") -> CommandError:
+def refusal(exit_code: int, holder: str = "") -> output.CommandError:
     """Return the error of a command that would start a second charger beside a running one."""
     where = f"ROS domain {environment.domain()}{holder and f' (process {holder})'}"
-    return CommandError(
+    return output.CommandError(
         f"a charger already answers in {where}: stop it, or choose another ROS_DOMAIN_ID or --namespace", exit_code
     )
 
@@ -143,9 +132,9 @@ def only_charger(namespace: str) -> Iterator[None]:
         try:
             stack.enter_context(runtime.only_one(environment.domain(), namespace))
         except runtime.Taken as taken:
-            raise refusal(WRONG_INPUT, taken.process) from taken
+            raise refusal(output.WRONG_INPUT, taken.process) from taken
         except OSError as error:
-            raise CommandError(f"the lock against a second charger cannot be taken: {error}") from error
+            raise output.CommandError(f"the lock against a second charger cannot be taken: {error}") from error
         yield
 
 
@@ -159,17 +148,17 @@ def start(scene: Scene, context: Context, namespace: str, held: bool = False) ->
     from deltacharger_core.ros.node_support import StartupError
 
     if scene.touches_hardware:
-        log_line(f"open to {environment.openness()}; see docs/security.md")
+        output.log_line(f"open to {environment.openness()}; see docs/security.md")
     composition = Composition(scene, context, namespace, held)
     try:
         return composition.start()
     except StartupError as error:
-        raise WrongInput(f"{scene.file}: {error}", file=scene.file) from error
+        raise output.WrongInput(f"{scene.file}: {error}", file=scene.file) from error
     except ImportError as error:
-        raise CommandError(f"scene '{scene.name}' needs a library that is not installed: {error}") from error
+        raise output.CommandError(f"scene '{scene.name}' needs a library that is not installed: {error}") from error
 
 
-def wait_for_actions(composition: Composition, client: Any, interrupts: Interrupts) -> bool:
+def wait_for_actions(composition: Composition, client: Any, interrupts: output.Interrupts) -> bool:
     """Wait until a composition's actions are available; return False after a signal.
 
     Raises:
@@ -182,7 +171,7 @@ def wait_for_actions(composition: Composition, client: Any, interrupts: Interrup
             return False
         raise_if_failed(composition)
         if waited >= START_UP:
-            raise CommandError(f"the actions are not available after {START_UP:.0f} s; see the log above")
+            raise output.CommandError(f"the actions are not available after {START_UP:.0f} s; see the log above")
     return True
 
 
@@ -190,7 +179,7 @@ def raise_if_failed(composition: Composition) -> None:
     """Raise CommandError if a part of the composition no longer runs."""
     failed = composition.failed()
     if failed:
-        raise CommandError(f"no longer running: {', '.join(failed)}; see the log above")
+        raise output.CommandError(f"no longer running: {', '.join(failed)}; see the log above")
 
 
 def require_docking(scene: Scene) -> None:
@@ -200,7 +189,7 @@ def require_docking(scene: Scene) -> None:
         CommandError: it has no docking_node; exit code 2.
     """
     if not scene.docks:
-        raise WrongInput(
+        raise output.WrongInput(
             f"scene '{scene.name}' starts no docking_node, so it cannot dock and undock; it starts "
             f"{', '.join(scene.nodes)}; choose another --scene"
         )
@@ -209,9 +198,9 @@ def require_docking(scene: Scene) -> None:
 def add_up(parser: argparse.ArgumentParser) -> None:
     """Add the options of `up`; options that change the scene are checked with it."""
     add = parser.add_argument
-    scene_option(parser)
-    namespace_option(parser)
-    record_option(parser)
+    arguments.scene_option(parser)
+    arguments.namespace_option(parser)
+    arguments.record_option(parser)
     add("--servo-port", default="", metavar="PORT", help="port of the servos, instead of the scene's")
     add("--board-port", default="", metavar="PORT", help="port of the board, instead of the scene's")
     text = "source of images, instead of the scene's: an OAK-D, image topics of another driver, or none"
@@ -221,12 +210,12 @@ def add_up(parser: argparse.ArgumentParser) -> None:
     add("--model", default="", metavar="FILE", help="pose model (npz) of misalignment_node")
 
 
-def up(options: argparse.Namespace) -> Result:
+def up(options: argparse.Namespace) -> output.Result:
     """Run a scene's charger until a signal."""
     scene = _with_options(prepare(options), options)
     if scene.docks and (slow := real_time.take_priority()):
-        log_line(slow)
-    with Interrupts() as interrupts, contextlib.ExitStack() as stack:
+        output.log_line(slow)
+    with output.Interrupts() as interrupts, contextlib.ExitStack() as stack:
         if scene.docks:
             stack.enter_context(only_charger(options.namespace))
         context = stack.enter_context(ros_context())
@@ -235,15 +224,19 @@ def up(options: argparse.Namespace) -> Result:
         else:
             composition = stack.enter_context(start(scene, context, options.namespace))
             _print_nodes(composition)
-            log_line("no docking_node, so no goals are accepted")
+            output.log_line("no docking_node, so no goals are accepted")
             _print_ready(composition, options)
         while not interrupts.event.wait(0.5):
             raise_if_failed(composition)
-    return Result(code=interrupts.exit_code(DONE))
+    return output.Result(code=interrupts.exit_code(output.DONE))
 
 
 def _alone(
-    scene: Scene, context: Context, options: argparse.Namespace, interrupts: Interrupts, stack: contextlib.ExitStack
+    scene: Scene,
+    context: Context,
+    options: argparse.Namespace,
+    interrupts: output.Interrupts,
+    stack: contextlib.ExitStack,
 ) -> Composition:
     """Start a charger that docks, and release it when no other charger has answered.
 
@@ -260,7 +253,7 @@ def _alone(
         composition = stack.enter_context(start(scene, context, options.namespace, held=True))
         _print_nodes(composition)
         if not wait_for_actions(composition, client, interrupts):
-            raise CommandError("interrupted before the charger was ready", interrupts.exit_code(DONE))
+            raise output.CommandError("interrupted before the charger was ready", interrupts.exit_code(output.DONE))
         _print_ready(composition, options)
         while not interrupts.event.wait(0.1):
             raise_if_failed(composition)
@@ -273,18 +266,18 @@ def _alone(
 
 def _refuse_others(client: ChargerClient, own: int) -> None:
     if client.node.count_publishers("dock/_action/feedback") > own:  # one of each action server
-        raise refusal(FAILED)
+        raise refusal(output.FAILED)
 
 
 def _print_nodes(composition: Composition) -> None:
     from deltacharger_bringup.scenes.composition import describe
 
-    log_line(f"{describe(composition)}; ROS domain {environment.domain()}")
+    output.log_line(f"{describe(composition)}; ROS domain {environment.domain()}")
 
 
 def _print_ready(composition: Composition, options: argparse.Namespace) -> None:
     ready = {"ready": True, "scene": composition.scene.name, "domain": environment.domain()}
-    answer(options, Result("", {**ready, **composition.ports()}, remarks=["ready"]))
+    output.answer(options, output.Result("", {**ready, **composition.ports()}, remarks=["ready"]))
 
 
 def _with_options(scene: Scene, options: argparse.Namespace) -> Scene:
@@ -300,4 +293,4 @@ def _with_options(scene: Scene, options: argparse.Namespace) -> Scene:
         return override(scene, Overrides(**{each.name: getattr(options, each.name) or "" for each in fields}))
     except SceneError as error:
         problem = f"{error.file}: --{error.key.replace('_', '-')}: {error.problem}"
-        raise WrongInput(problem, file=error.file, key=error.key) from error
+        raise output.WrongInput(problem, file=error.file, key=error.key) from error

@@ -11,34 +11,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deltacharger_bringup.cli.arguments import (
-    DEGREES,
-    MILLIMETRES,
-    NOT_NEGATIVE,
-    deadline,
-    namespace_option,
-    picture_to_write,
-    record_option,
-    scene_option,
-)
-from deltacharger_bringup.cli.charger import (
-    only_charger,
-    prepare,
-    require_docking,
-    ros_context,
-    start,
-    wait_for_actions,
-)
-from deltacharger_bringup.cli.output import (
-    DONE,
-    FAILED,
-    INTERRUPTED,
-    CommandError,
-    Interrupts,
-    Result,
-    WrongInput,
-    log_line,
-)
+from deltacharger_bringup.cli import arguments, charger, output
 from deltacharger_core import environment
 from deltacharger_core.ros.outcomes import DockRequest, Outcome, Pose, Progress, place
 from deltacharger_core.texts import figure
@@ -52,7 +25,7 @@ if TYPE_CHECKING:
 _DEFAULT_PICTURE = "dock.png"
 
 
-def _result(outcome: Outcome, more: dict[str, Any], code: int, remarks: Sequence[str] = ()) -> Result:
+def _result(outcome: Outcome, more: dict[str, Any], code: int, remarks: Sequence[str] = ()) -> output.Result:
     """Return the result of an action."""
     lines = [f"{outcome.action}: {outcome.ending()}"]
     suggested = None if outcome.success else outcome.details.get("suggested_base_pose")
@@ -60,7 +33,7 @@ def _result(outcome: Outcome, more: dict[str, Any], code: int, remarks: Sequence
         where = ", ".join(f"{1e3 * value:.1f}" for value in suggested["position"])
         turn = f", turned by {math.degrees(suggested['yaw']):+.1f}° about its y" if suggested["yaw"] else ""
         lines.append(f"  possible with charger_base at ({where}) mm of {suggested['frame_id']}{turn}")
-    return Result("\n".join(lines), {**outcome.as_dict(), **more}, code, remarks)
+    return output.Result("\n".join(lines), {**outcome.as_dict(), **more}, code, remarks)
 
 
 class PhasePrinter:
@@ -92,42 +65,42 @@ class PhasePrinter:
             columns.append(f"force {figure(force, 'N', 1, 7)}")
         if progress.waiting_for:
             columns.append(f"waits for {progress.waiting_for}")
-        log_line("  ".join(columns))
+        output.log_line("  ".join(columns))
 
 
 def add_dock(parser: argparse.ArgumentParser) -> None:
     """Add the options of `dock`."""
     add = parser.add_argument
-    scene_option(parser)
-    namespace_option(parser)
+    arguments.scene_option(parser)
+    arguments.namespace_option(parser)
     for axis in "xyz":
         text = f"position of the electrodes along {axis} of charger_base"
-        add(f"--{axis}-mm", type=MILLIMETRES, metavar="MM", help=text)
-    add("--roll-deg", type=DEGREES, metavar="DEG", help="roll of the electrodes about z, -90 to 90")
+        add(f"--{axis}-mm", type=arguments.MILLIMETRES, metavar="MM", help=text)
+    add("--roll-deg", type=arguments.DEGREES, metavar="DEG", help="roll of the electrodes about z, -90 to 90")
     add("--camera", action="store_true", help="use the camera even if the scene has coordinates")
     text = "stricter critical angle than the charger's"
-    add("--critical-angle-deg", type=NOT_NEGATIVE, default=0.0, metavar="DEG", help=text)
+    add("--critical-angle-deg", type=arguments.NOT_NEGATIVE, default=0.0, metavar="DEG", help=text)
     add("--no-charge", action="store_true", help="dock, but do not charge")
     add("--hold", action="store_true", help="charge until a stop condition, a full target or Ctrl-C")
-    add("--stop-after-s", type=NOT_NEGATIVE, default=0.0, metavar="S", help="end after this time of charging")
-    add("--stop-energy-j", type=NOT_NEGATIVE, default=0.0, metavar="J", help="end after this energy")
+    add("--stop-after-s", type=arguments.NOT_NEGATIVE, default=0.0, metavar="S", help="end after this time of charging")
+    add("--stop-energy-j", type=arguments.NOT_NEGATIVE, default=0.0, metavar="J", help="end after this energy")
     text = "name of the target's profile (default: the charger's first one)"
     add("--target-profile", default="", metavar="NAME", help=text)
-    add("--deadline-s", type=deadline, default=math.inf, metavar="S", help="cancel after this time")
+    add("--deadline-s", type=arguments.deadline, default=math.inf, metavar="S", help="cancel after this time")
     add("--request-id", default="", metavar="ID", help="is returned in docking_state")
     add("--picture", default=_DEFAULT_PICTURE, metavar="FILE", help=f"picture of the run (default: {_DEFAULT_PICTURE})")
     add("--no-picture", action="store_true", help="write no picture")
-    record_option(parser)
+    arguments.record_option(parser)
 
 
-def dock(options: argparse.Namespace) -> Result:
+def dock(options: argparse.Namespace) -> output.Result:
     """Dock with the running charger, or start the charger of the scene in this process."""
     if not options.no_picture and options.picture != _DEFAULT_PICTURE:  # without a picture no writable folder is needed
-        picture_to_write(options.picture)
-    scene = prepare(options, look_around=True)
-    require_docking(scene)
+        arguments.picture_to_write(options.picture)
+    scene = charger.prepare(options, look_around=True)
+    charger.require_docking(scene)
     request = dock_request(options, scene)
-    with Interrupts() as interrupts, ros_context() as context, contextlib.ExitStack() as stack:
+    with output.Interrupts() as interrupts, charger.ros_context() as context, contextlib.ExitStack() as stack:
         from deltacharger_bringup.records.replay.record import Recorder
         from deltacharger_bringup.scenes.scene import RECORDER, recorder_alone, with_recorder
         from deltacharger_core.ros.client import ChargerClient
@@ -136,19 +109,21 @@ def dock(options: argparse.Namespace) -> Result:
         composition: Composition | None = None
         if not client.wait_until_it_answers(options.discovery, interrupts.event) and not interrupts.event.is_set():
             if options.must_run:
-                raise CommandError(f"the charger in ROS domain {environment.domain()} no longer answers")
-            log_line(f"no charger answers in ROS domain {environment.domain()}; starting scene '{scene.name}'")
-            stack.enter_context(only_charger(options.namespace))
+                raise output.CommandError(f"the charger in ROS domain {environment.domain()} no longer answers")
+            output.log_line(f"no charger answers in ROS domain {environment.domain()}; starting scene '{scene.name}'")
+            stack.enter_context(charger.only_charger(options.namespace))
             _log_warnings_only()
-            composition = stack.enter_context(start(with_recorder(scene, options.record), context, options.namespace))
-            wait_for_actions(composition, client, interrupts)
+            composition = stack.enter_context(
+                charger.start(with_recorder(scene, options.record), context, options.namespace)
+            )
+            charger.wait_for_actions(composition, client, interrupts)
         if interrupts.event.is_set():
-            raise CommandError("interrupted", INTERRUPTED)
+            raise output.CommandError("interrupted", output.INTERRUPTED)
         if composition is None and options.scene is not None:
-            log_line(f"using the running charger; only the goal of scene '{scene.name}' is used")
+            output.log_line(f"using the running charger; only the goal of scene '{scene.name}' is used")
         own = composition
         if own is None and options.record:
-            own = stack.enter_context(start(recorder_alone(scene, options.record), context, options.namespace))
+            own = stack.enter_context(charger.start(recorder_alone(scene, options.record), context, options.namespace))
         keepers = [own.node(RECORDER)] if own is not None and RECORDER in own.nodes else []
         recorder = stack.enter_context(Recorder(context, options.namespace))
         result = _Run(options, scene, request, client, recorder, composition, interrupts).carry_out()
@@ -157,7 +132,7 @@ def dock(options: argparse.Namespace) -> Result:
         for keeper in keepers:
             if keeper.problem:
                 remarks = [*result.remarks, f"{RECORDER}: {keeper.problem}"]
-                result = replace(result, code=result.code or FAILED, remarks=remarks)
+                result = replace(result, code=result.code or output.FAILED, remarks=remarks)
         return result
 
 
@@ -194,7 +169,7 @@ def dock_request(options: argparse.Namespace, scene: Scene) -> DockRequest:
 def _electrodes(flags: dict[str, Any], camera: bool, scene: Scene) -> Pose | None:
     if camera:
         if flags:
-            raise WrongInput("--camera and coordinates exclude each other")
+            raise output.WrongInput("--camera and coordinates exclude each other")
         return None
     if scene.goal is not None:
         return Pose(**{**asdict(scene.goal), **flags})
@@ -202,7 +177,7 @@ def _electrodes(flags: dict[str, Any], camera: bool, scene: Scene) -> Pose | Non
         return None
     missing = [f"--{axis}-mm" for axis in "xyz" if axis not in flags]
     if missing:
-        raise WrongInput(f"{', '.join(missing)} missing: scene '{scene.name}' has no key goal; give them")
+        raise output.WrongInput(f"{', '.join(missing)} missing: scene '{scene.name}' has no key goal; give them")
     return Pose(**flags)
 
 
@@ -216,11 +191,11 @@ class _Run:
     client: ChargerClient
     recorder: Recorder
     composition: Composition | None
-    interrupts: Interrupts
+    interrupts: output.Interrupts
 
-    def carry_out(self) -> Result:
+    def carry_out(self) -> output.Result:
         """Dock, undock if this process started the charger, draw and report."""
-        log_line(self._goal_line())
+        output.log_line(self._goal_line())
         printer = PhasePrinter(self.recorder.force)
         outcome = self._dock(printer)
         advice = self._advice(outcome)
@@ -239,9 +214,9 @@ class _Run:
             self.recorder.close()
             self.composition.close()
         more["picture"] = self._draw()
-        code = DONE if outcome.success and not unsafe else FAILED
+        code = output.DONE if outcome.success and not unsafe else output.FAILED
         remarks = [advice, outcome.figures() if outcome.success else "", unsafe]
-        return _result(outcome, more, INTERRUPTED if self.interrupts.number else code, [*filter(None, remarks)])
+        return _result(outcome, more, output.INTERRUPTED if self.interrupts.number else code, [*filter(None, remarks)])
 
     def _goal_line(self) -> str:
         pose = self.request.electrodes
@@ -257,7 +232,7 @@ class _Run:
                 self.request, printer, self.interrupts.event, self.options.deadline_s, self.interrupts.impatient
             )
         except ClientError as error:
-            raise CommandError(str(error), self.interrupts.failure) from error
+            raise output.CommandError(str(error), self.interrupts.failure) from error
 
     def _advice(self, outcome: Outcome) -> str:
         """Return what to do if the camera was requested and there is none; else ''."""
@@ -271,14 +246,14 @@ class _Run:
     def _undock(self) -> dict[str, Any]:
         from deltacharger_core.ros.client import ClientError
 
-        log_line("undocking, because this command stops the charger that it started")
+        output.log_line("undocking, because this command stops the charger that it started")
         try:
             outcome = self.client.undock(on_progress=PhasePrinter(), deadline=60.0)
         except ClientError as error:
-            log_line(str(error))
+            output.log_line(str(error))
             return {"success": False, "error_message": str(error)}
         if not outcome.success:
-            log_line(f"undock: {outcome.ending()}")
+            output.log_line(f"undock: {outcome.ending()}")
         return outcome.as_dict()
 
     def _draw(self) -> str | None:
@@ -291,9 +266,9 @@ class _Run:
         try:
             draw(self.recorder.run, path, f"{whose}; {self._goal_line()}")
         except PictureError as error:
-            log_line(f"no picture: {error}")
+            output.log_line(f"no picture: {error}")
             return None
-        log_line(f"picture: {path}")
+        output.log_line(f"picture: {path}")
         return str(path)
 
     def _truth(self, more: dict[str, Any]) -> str:
@@ -311,29 +286,29 @@ class _Run:
 def add_undock(parser: argparse.ArgumentParser) -> None:
     """Add the options of `undock`."""
     add = parser.add_argument
-    scene_option(parser)
-    namespace_option(parser)
-    add("--deadline-s", type=deadline, default=math.inf, metavar="S", help="cancel after this time")
+    arguments.scene_option(parser)
+    arguments.namespace_option(parser)
+    add("--deadline-s", type=arguments.deadline, default=math.inf, metavar="S", help="cancel after this time")
     add("--request-id", default="", metavar="ID", help="is returned in docking_state")
 
 
-def undock(options: argparse.Namespace) -> Result:
+def undock(options: argparse.Namespace) -> output.Result:
     """Undock the running charger."""
-    require_docking(prepare(options, look_around=True))
-    with Interrupts() as interrupts, ros_context() as context:
+    charger.require_docking(charger.prepare(options, look_around=True))
+    with output.Interrupts() as interrupts, charger.ros_context() as context:
         from deltacharger_core.ros.client import ChargerClient, ClientError
 
         with ChargerClient(options.namespace, context) as client:
             if not client.wait_until_it_answers(options.discovery, interrupts.event):
                 if interrupts.event.is_set():
-                    raise CommandError("interrupted", INTERRUPTED)
-                raise CommandError(
+                    raise output.CommandError("interrupted", output.INTERRUPTED)
+                raise output.CommandError(
                     f"no charger answers in ROS domain {options.searched}: start one with `deltacharger up`"
                 )
             printer = PhasePrinter()
             try:
                 outcome = client.undock(options.request_id, printer, interrupts.event, options.deadline_s)
             except ClientError as error:
-                raise CommandError(str(error), interrupts.failure) from error
-        code = INTERRUPTED if interrupts.number else DONE if outcome.success else FAILED
+                raise output.CommandError(str(error), interrupts.failure) from error
+        code = output.INTERRUPTED if interrupts.number else output.DONE if outcome.success else output.FAILED
         return _result(outcome, {"phases": printer.phases}, code)

@@ -12,8 +12,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING
 
-from deltacharger_bringup.cli.arguments import DEFAULT_SCENE, scene_option
-from deltacharger_bringup.cli.output import DONE, FAILED, Result, WrongInput, log_line
+from deltacharger_bringup.cli import arguments, output
 from deltacharger_bringup.doctor.environment import (
     RosProbe,
     candidates,
@@ -34,7 +33,7 @@ if TYPE_CHECKING:
 def add_doctor(parser: argparse.ArgumentParser) -> None:
     """Add the options of `doctor`."""
     add = parser.add_argument
-    scene_option(parser)
+    arguments.scene_option(parser)
     add("--servo-port", metavar="PORT", help=f"port of the servos, instead of the scene's, or {BEHIND_BOARD}")
     add("--board-port", metavar="PORT", help="port of the board, instead of the scene's")
     text = "clear a latched weld (fault 7), only after the contactor was replaced; refused while something is live"
@@ -57,7 +56,7 @@ class _Hardware:
     problems: list[Finding] = field(default_factory=list)
 
 
-def doctor(options: argparse.Namespace) -> Result:
+def doctor(options: argparse.Namespace) -> output.Result:
     """Examine everything; print the findings."""
     hardware = _hardware(options)
     hardware.clear_weld = options.clear_weld
@@ -67,7 +66,7 @@ def doctor(options: argparse.Namespace) -> Result:
     found: list[Finding] = list(hardware.problems)
     probe = RosProbe()
     try:
-        log_line("checking this computer and ROS ...")
+        output.log_line("checking this computer and ROS ...")
         found += checked("versions", examine_versions)
         found += checked("ros settings", examine_settings)
         with contextlib.ExitStack() as stack:
@@ -93,7 +92,7 @@ def _hardware(options: argparse.Namespace) -> _Hardware:
     try:
         from deltacharger_bringup.cli.scene import load_for_command
 
-        scene = load_for_command(options.scene or DEFAULT_SCENE)
+        scene = load_for_command(options.scene or arguments.DEFAULT_SCENE)
     except ImportError as error:
         hardware.problems.append(wrong("scene", f"cannot be read: {error}", install(error.name or "")))
         return hardware
@@ -101,7 +100,7 @@ def _hardware(options: argparse.Namespace) -> _Hardware:
     hardware.wired = scene.node_parameters("docking_node", {}).get("power") == "none"
     if scene.simulation is not None:
         if given:
-            raise WrongInput(f"scene '{scene.name}' has its own ports; leave out --servo-port and --board-port")
+            raise output.WrongInput(f"scene '{scene.name}' has its own ports; leave out --servo-port and --board-port")
         hardware.simulated = scene
         return hardware
     environment.reach(scene.network)  # as in the command that starts it
@@ -171,7 +170,7 @@ def _examine_servos(hardware: _Hardware) -> list[Finding]:
         return _examine("servos", port, lambda: look(port))
     if not board:
         return [wrong("servo port", "the servos are on the board, and its port is not given", "give --board-port")]
-    log_line(f"checking the servos behind the board on {board} ...")
+    output.log_line(f"checking the servos behind the board on {board} ...")
     return checked("servo port", behind)
 
 
@@ -180,12 +179,12 @@ def _examine(device: str, path: str, check: Callable[[], Iterable[Finding]]) -> 
     part = f"{device.removesuffix('s')} port"
     found = checked(part, lambda: examine_port(part, path))
     if not any(finding.level == "wrong" for finding in found):
-        log_line(f"checking the {device} on {path} ...")
+        output.log_line(f"checking the {device} on {path} ...")
         found += checked(device, check)
     return found
 
 
-def _report(found: list[Finding], hardware: _Hardware) -> Result:
+def _report(found: list[Finding], hardware: _Hardware) -> output.Result:
     counts = {level: sum(finding.level == level for finding in found) for level in ("ok", "hint", "wrong")}
     width = max((len(finding.part) for finding in found), default=0)
     lines = []
@@ -201,4 +200,4 @@ def _report(found: list[Finding], hardware: _Hardware) -> Result:
         "counts": counts,
         "findings": [asdict(finding) for finding in found],
     }
-    return Result("\n".join(lines), details, FAILED if counts["wrong"] else DONE)
+    return output.Result("\n".join(lines), details, output.FAILED if counts["wrong"] else output.DONE)

@@ -5,8 +5,6 @@ Exit codes: 0 done, 1 the job failed, 2 wrong usage or input, 130 interrupted. W
 is written to stdout. Progress and logs are always written to stderr.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import signal
@@ -16,18 +14,8 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from types import FrameType
 
+from deltacharger_bringup.cli import output
 from deltacharger_bringup.cli.arguments import Parser, Version, add_command
-from deltacharger_bringup.cli.output import (
-    DONE,
-    INTERRUPTED,
-    WRONG_INPUT,
-    CommandError,
-    Result,
-    WrongInput,
-    from_os_error,
-    log_line,
-    show,
-)
 from deltacharger_core import streams
 from deltacharger_core.environment import UnsupportedRos
 
@@ -84,7 +72,7 @@ def main(
         run = partial(_run, words, commands, prog)
         code = run() if arguments is not None else _interruptible(words, run)
     except SystemExit as end:  # argparse has printed its help or an error
-        code = int(end.code or DONE)
+        code = int(end.code or output.DONE)
     return streams.ended(code)
 
 
@@ -94,15 +82,15 @@ def _interruptible(words: list[str], run: Callable[[], int]) -> int:
         return run()
     except KeyboardInterrupt:
         if "--as-node" in words:  # nodes then end with 0
-            return DONE
-        return show(CommandError("interrupted", INTERRUPTED).result(), "--json" in words)
+            return output.DONE
+        return output.show(output.CommandError("interrupted", output.INTERRUPTED).result(), "--json" in words)
     finally:
         if signal.getsignal(signal.SIGINT) is _interrupt:  # nothing catches it while the interpreter ends
             signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def _show_warning(message: Warning | str, *where: object, **more: object) -> None:
-    log_line(f"warning: {message}")
+    output.log_line(f"warning: {message}")
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
@@ -121,48 +109,48 @@ def _run(words: list[str], commands: Mapping[str, Command] | None, prog: str) ->
         parser.parse_args(words, options)
         if not hasattr(options, "run"):
             parser.print_help(sys.stderr)
-            return WRONG_INPUT
-        result: Result = options.run(options)
-    except CommandError as error:
+            return output.WRONG_INPUT
+        result: output.Result = options.run(options)
+    except output.CommandError as error:
         result = error.result()
     except UnsupportedRos as error:  # its message is already printed
-        result = Result(details={"error": str(error)}, code=WRONG_INPUT)
+        result = output.Result(details={"error": str(error)}, code=output.WRONG_INPUT)
     except OSError as error:
-        result = from_os_error(error).result()
+        result = output.from_os_error(error).result()
     except UnicodeError as error:
         text = f"a name or text is not UTF-8 ({error}); rename or change it"
-        result = WrongInput(text).result()
+        result = output.WrongInput(text).result()
     except Exception as error:
         known = _known(error)
         if known is None:
             raise
         result = known.result()
-    return show(result, options.json)
+    return output.show(result, options.json)
 
 
 def _require_laboratory(words: list[str], commands: Mapping[str, Command]) -> None:
     """Refuse a command of the laboratory where that is not installed, and say how to get it."""
     for name in LABORATORY:
         if name not in commands and words[:1] == [name]:
-            raise WrongInput(f"{name} is a command of the laboratory: {HOW_TO_GET_IT}")
+            raise output.WrongInput(f"{name} is a command of the laboratory: {HOW_TO_GET_IT}")
 
 
-def _known(error: Exception) -> CommandError | None:
+def _known(error: Exception) -> output.CommandError | None:
     """Return an error that names the missing library or what ROS refuses; None for a defect."""
     name = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
     if name == "cv2":  # its message says how to install it; FAILED would mean that no electrodes were found
-        return WrongInput(str(error))
+        return output.WrongInput(str(error))
     if name in _EXTRA_OF:
         others = ", or by rosdep with DELTACHARGER_EXTRAS=all" if name == "scipy" else ""  # what a robot needs
-        return CommandError(f"{name} is not installed; install {_EXTRA_OF[name]}{others}")
+        return output.CommandError(f"{name} is not installed; install {_EXTRA_OF[name]}{others}")
     if "rclpy" in sys.modules:  # commands without ROS must not import it only to report an error
         from deltacharger_core.ros.client import ClientError
         from deltacharger_core.ros.node_support import ros_problem
 
         if isinstance(error, ClientError):
-            return CommandError(str(error))
+            return output.CommandError(str(error))
         problem = ros_problem(error)
-        return WrongInput(problem) if problem else None
+        return output.WrongInput(problem) if problem else None
     return None
 
 

@@ -1,22 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """`deltacharger replay`: explain and draw a recorded docking, or list the records of a folder."""
 
-from __future__ import annotations
-
 import argparse
 import math
 import time
 from pathlib import Path
 from typing import Any
 
-from deltacharger_bringup.cli.arguments import namespace_option, picture_to_write
-from deltacharger_bringup.cli.output import (
-    WRONG_INPUT,
-    CommandError,
-    Result,
-    log_line,
-    wrong_input,
-)
+from deltacharger_bringup.cli import arguments, output
 from deltacharger_bringup.records.recording.folder import ABOUT, END, PARTIAL
 from deltacharger_core import environment, streams
 from deltacharger_core.mcap_file import BAGS, McapFile, RecordingError
@@ -28,25 +19,27 @@ def add_replay(parser: argparse.ArgumentParser) -> None:
     """Add the options of `replay`."""
     parser.add_argument("path", metavar="FILE|DIR", help="record (also an incomplete one), or folder of records")
     parser.add_argument("--picture", metavar="FILE", help="draw the record: .png, .pdf, .svg or .jpg")
-    namespace_option(parser)
+    arguments.namespace_option(parser)
 
 
-def replay(options: argparse.Namespace) -> Result:
+def replay(options: argparse.Namespace) -> output.Result:
     """Explain one record and draw it on request, or list the records of a folder."""
     environment.prepare()
     path = Path(options.path)
-    with wrong_input(RecordingError):
+    with output.wrong_input(RecordingError):
         return _folder(options, path) if path.is_dir() else _file(options, path)
 
 
-def _file(options: argparse.Namespace, path: Path) -> Result:
+def _file(options: argparse.Namespace, path: Path) -> output.Result:
     try:
         from deltacharger_bringup.records.replay.record import replay as read
         from deltacharger_bringup.records.replay.words import story, why
     except ImportError as error:
-        raise CommandError(f"ROS 2 or the built interfaces are missing ({error}): install the package") from error
+        raise output.CommandError(
+            f"ROS 2 or the built interfaces are missing ({error}): install the package"
+        ) from error
 
-    picture = picture_to_write(options.picture) if options.picture else None
+    picture = arguments.picture_to_write(options.picture) if options.picture else None
     found = read(path, options.namespace)
     lines, closing = story(found), why(found)
     if picture is not None:
@@ -57,18 +50,18 @@ def _file(options: argparse.Namespace, path: Path) -> Result:
         try:
             draw(found, picture, "   ·   ".join(filter(None, about)))
         except PictureError as error:
-            raise CommandError(f"no picture: {error}") from error
-        log_line(f"picture: {picture}")
+            raise output.CommandError(f"no picture: {error}") from error
+        output.log_line(f"picture: {picture}")
     head = [f"{_when(found.began_ns)}  {streams.plain(found.request_id) or 'no request id'}  {found.outcome()['name']}"]
     if found.damage:
         head.append(f"incomplete: {found.damage}")
     details = {"story": lines, "why": closing, "picture": str(picture) if picture else None}
-    return Result("\n".join([*head, *lines, "", closing]), {**found.as_dict(), **details})
+    return output.Result("\n".join([*head, *lines, "", closing]), {**found.as_dict(), **details})
 
 
-def _folder(options: argparse.Namespace, folder: Path) -> Result:
+def _folder(options: argparse.Namespace, folder: Path) -> output.Result:
     if options.picture:
-        raise CommandError("--picture draws one record; give a file, not a folder", WRONG_INPUT)
+        raise output.CommandError("--picture draws one record; give a file, not a folder", output.WRONG_INPUT)
     names = sorted(path for path in folder.iterdir() if path.name.endswith((*BAGS, PARTIAL)))
     entries = [_entry(path) for path in names if not path.name.startswith(".")]
     lines = []
@@ -83,7 +76,7 @@ def _folder(options: argparse.Namespace, folder: Path) -> Result:
             f"{entry['outcome'] or '–':<22} {streams.plain(entry['request_id']) or '–'}  ({name})"
         )
     details = {"folder": str(folder), "records": entries}
-    return Result("\n".join(lines), details, remarks=() if entries else [f"{folder}: no records"])
+    return output.Result("\n".join(lines), details, remarks=() if entries else [f"{folder}: no records"])
 
 
 def _entry(path: Path) -> dict[str, Any]:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`deltacharger scene`: list, check and explain scenes."""
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import math

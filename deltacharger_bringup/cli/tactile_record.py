@@ -9,34 +9,11 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from deltacharger_bringup.cli.arguments import MILLIMETRES, SEED, between, file_to_write, integer, namespace_option
+from deltacharger_bringup.cli import arguments, output
 from deltacharger_bringup.cli.charger import DISCOVERY, prepare, ros_context
-from deltacharger_bringup.cli.output import (
-    INTERRUPTED,
-    CommandError,
-    Interrupts,
-    Result,
-    WrongInput,
-    log_line,
-    wrong_input,
-)
-from deltacharger_bringup.records.session import (
-    OFFSETS_MM,
-    REPEATS,
-    SETS,
-    TILTED,
-    Docking,
-    Journal,
-    Mismatch,
-    NotKept,
-    Part,
-    Settings,
-    TouchSession,
-    check_places,
-)
+from deltacharger_bringup.records import session
 from deltacharger_core import environment
-from deltacharger_docking.codes import Code, Rejected, Unreachable
-from deltacharger_docking.observation import DockingOutcome
+from deltacharger_docking import codes, observation
 from deltacharger_kinematics.geometry import Vector
 
 if TYPE_CHECKING:
@@ -53,65 +30,77 @@ def add_record(parser: argparse.ArgumentParser) -> None:
     """Add the options of `tactile record`."""
     add = parser.add_argument
     add("--out", required=True, metavar="F.npz", help="data set, continued if it exists")
-    add("--set", choices=SETS, required=True, help="the paper's sets, dockings at zero, or random offsets up to 12 mm")
-    add("--angle-deg", type=between(-20.0, 20.0), metavar="DEG", help="angle of the target (sets angle and sweep)")
+    add(
+        "--set",
+        choices=session.SETS,
+        required=True,
+        help="the paper's sets, dockings at zero, or random offsets up to 12 mm",
+    )
+    add(
+        "--angle-deg",
+        type=arguments.between(-20.0, 20.0),
+        metavar="DEG",
+        help="angle of the target (sets angle and sweep)",
+    )
     text = "dockings per offset (position: 20) or in total (angle: 100, reference: 10, sweep: 100)"
-    add("--repeat", type=integer(1, 10000), metavar="N", help=text)
+    add("--repeat", type=arguments.integer(1, 10000), metavar="N", help=text)
     text = "offsets of the set position (-10 -5 0 5 10)"
-    add("--offsets-mm", type=between(-20.0, 20.0), nargs="+", metavar="MM", help=text)
-    add("--seed", type=SEED, default=0, metavar="N", help="random seed of order and offsets (0)")
+    add("--offsets-mm", type=arguments.between(-20.0, 20.0), nargs="+", metavar="MM", help=text)
+    add("--seed", type=arguments.SEED, default=0, metavar="N", help="random seed of order and offsets (0)")
     text = "dockings per tare, i.e. per session (25)"
-    add("--tare-every", type=integer(1, 10000), default=25, metavar="N", help=text)
-    namespace_option(parser)
+    add("--tare-every", type=arguments.integer(1, 10000), default=25, metavar="N", help=text)
+    arguments.namespace_option(parser)
     add = parser.add_argument_group("position of the target's electrodes in charger_base").add_argument
     for flag, default in (("--x-mm", 0.0), ("--y-mm", 0.0), ("--z-mm", 80.0)):
-        add(flag, type=MILLIMETRES, default=default, metavar="MM", help=f"({default:g})")
+        add(flag, type=arguments.MILLIMETRES, default=default, metavar="MM", help=f"({default:g})")
     add = parser.add_argument_group("for the complete data set").add_argument
-    add("--rig", type=integer(0, 2**31 - 1), default=0, metavar="N", help="number of this charger (0)")
-    add("--frames", type=integer(1, 240), default=1, metavar="N", help="frames averaged in each docking (1)")
+    add("--rig", type=arguments.integer(0, 2**31 - 1), default=0, metavar="N", help="number of this charger (0)")
+    add("--frames", type=arguments.integer(1, 240), default=1, metavar="N", help="frames averaged in each docking (1)")
 
 
-def record(options: argparse.Namespace) -> Result:
+def record(options: argparse.Namespace) -> output.Result:
     """Record the missing dockings of a set."""
-    out, part = file_to_write("--out", options.out, ".npz"), _part(options)
+    out, part = arguments.file_to_write("--out", options.out, ".npz"), _part(options)
     environment.prepare()
     from deltacharger_tactile.errors import DatasetError
 
-    with wrong_input(Mismatch, DatasetError, file=options.out):
-        journal = Journal(out)
-        recording = _Recording(journal, part, Settings(options.rig, options.frames))
+    with output.wrong_input(session.Mismatch, DatasetError, file=options.out):
+        journal = session.Journal(out)
+        recording = _Recording(journal, part, session.Settings(options.rig, options.frames))
         if recording.left():
             try:
                 recording.record(options)
-            except CommandError as error:
+            except output.CommandError as error:
                 count = recording.count
                 kept = f"; {out} contains the {count} dockings of this call" if count else ""
                 details = {**error.details, **recording.summary()}
-                raise CommandError(f"{error}{kept}", error.exit_code, **details) from error
+                raise output.CommandError(f"{error}{kept}", error.exit_code, **details) from error
     return recording.result()
 
 
-def _part(options: argparse.Namespace) -> Part:
+def _part(options: argparse.Namespace) -> session.Part:
     """Return the part that the options define; options of another set are refused."""
-    most = TILTED.get(options.set)
+    most = session.TILTED.get(options.set)
     if most is None and options.angle_deg:
-        raise WrongInput(f"--set {options.set} takes no --angle-deg: the target is level")
+        raise output.WrongInput(f"--set {options.set} takes no --angle-deg: the target is level")
     if most is not None and options.angle_deg is None:
-        raise WrongInput(f"--set {options.set} needs --angle-deg, the angle of the target: from +x to +y is positive")
+        raise output.WrongInput(
+            f"--set {options.set} needs --angle-deg, the angle of the target: from +x to +y is positive"
+        )
     angle = options.angle_deg or 0.0
     if most is not None and abs(angle) > most:
-        raise WrongInput(f"--angle-deg {angle:g} is outside {-most:g} to {most:g} of --set {options.set}")
+        raise output.WrongInput(f"--angle-deg {angle:g} is outside {-most:g} to {most:g} of --set {options.set}")
     if options.offsets_mm is not None and options.set != "position":
-        raise WrongInput(f"--set {options.set} takes no --offsets-mm")
-    return Part(
+        raise output.WrongInput(f"--set {options.set} takes no --offsets-mm")
+    return session.Part(
         set=options.set,
         angle_deg=angle,
-        repeat=options.repeat or REPEATS[options.set],
+        repeat=options.repeat or session.REPEATS[options.set],
         seed=options.seed,
         x_mm=options.x_mm,
         y_mm=options.y_mm,
         z_mm=options.z_mm,
-        offsets_mm=tuple(options.offsets_mm or OFFSETS_MM),
+        offsets_mm=tuple(options.offsets_mm or session.OFFSETS_MM),
     )
 
 
@@ -127,7 +116,7 @@ class _Recording:
         count: dockings that this call added.
     """
 
-    def __init__(self, journal: Journal, part: Part, settings: Settings) -> None:
+    def __init__(self, journal: session.Journal, part: session.Part, settings: session.Settings) -> None:
         self._journal, self._part, self._settings = journal, part, settings
         self._poses = part.poses()
         self._began = time.monotonic()
@@ -150,13 +139,13 @@ class _Recording:
             "simulated": None if settings is None else settings.simulated,
         }
 
-    def result(self) -> Result:
+    def result(self) -> output.Result:
         """Return the size of the data set."""
         journal = self._journal
         kind = "simulated " if journal.data is not None and journal.data.simulated else ""
         lines = [f"{journal.out}: {journal.dockings} {kind}dockings"]
         lines += [f"  {name:<12} {done} of {total}" for name, (done, total) in journal.parts().items()]
-        return Result("\n".join(lines), self.summary())
+        return output.Result("\n".join(lines), self.summary())
 
     def record(self, options: argparse.Namespace) -> None:
         """Connect to the charger and make the missing dockings.
@@ -165,7 +154,7 @@ class _Recording:
             CommandError: it ended early; the recorded dockings are stored.
         """
         prepare(options, look_around=True)
-        with Interrupts() as interrupts, ros_context() as context:
+        with output.Interrupts() as interrupts, ros_context() as context:
             from deltacharger_bringup.records.arm_client import ArmError
             from deltacharger_bringup.records.charger import RecordingCharger
 
@@ -180,7 +169,7 @@ class _Recording:
                     self._announce()
                     self._run(charger, machine, options.tare_every, interrupts)
             except ArmError as error:
-                raise CommandError(str(error), interrupts.failure) from error
+                raise output.CommandError(str(error), interrupts.failure) from error
 
     def _commands(self) -> list[Vector]:
         """Return the docking position of each pose: the position of the target minus the offset."""
@@ -192,30 +181,34 @@ class _Recording:
         from deltacharger_docking.machine import DockingMachine
 
         if not charger.has_docking_node:
-            log_line("docking_node is not running: using its default parameters")
+            output.log_line("docking_node is not running: using its default parameters")
         machine = DockingMachine(*charger.settings())
-        with wrong_input(Rejected, Unreachable):
-            check_places(machine, self._commands())
+        with output.wrong_input(codes.Rejected, codes.Unreachable):
+            session.check_places(machine, self._commands())
         return machine
 
     def _announce(self) -> None:
         part, left, total = self._part, len(self.left()), len(self._poses)
         if left < total:
-            log_line(f"{self._journal.out} contains {total - left} of {total} dockings already; recording the others")
-        turned = f", turned by {part.angle_deg:g}° (from +x to +y)" if part.set in TILTED else ", level"
-        log_line(f"{left} dockings; target at ({part.x_mm:g}, {part.y_mm:g}, {part.z_mm:g}) mm{turned}")
-        log_line("keep clear: the arm moves now")
+            output.log_line(
+                f"{self._journal.out} contains {total - left} of {total} dockings already; recording the others"
+            )
+        turned = f", turned by {part.angle_deg:g}° (from +x to +y)" if part.set in session.TILTED else ", level"
+        output.log_line(f"{left} dockings; target at ({part.x_mm:g}, {part.y_mm:g}, {part.z_mm:g}) mm{turned}")
+        output.log_line("keep clear: the arm moves now")
         self._began = time.monotonic()
 
-    def _report(self, docking: Docking) -> None:
+    def _report(self, docking: session.Docking) -> None:
         """Report a stored docking."""
         self.count += 1
         left, total = len(self.left()), len(self._poses)
         minutes = (time.monotonic() - self._began) / self.count * left / 60.0
         place = f"({1e3 * docking.pose.horizontal:+.1f}, {1e3 * docking.pose.vertical:+.1f}) mm"
-        log_line(f"{total - left} of {total}  {place}  {docking.current:.3f} A  {minutes:.0f} min left")
+        output.log_line(f"{total - left} of {total}  {place}  {docking.current:.3f} A  {minutes:.0f} min left")
 
-    def _run(self, charger: RecordingCharger, machine: DockingMachine, size: int, interrupts: Interrupts) -> None:
+    def _run(
+        self, charger: RecordingCharger, machine: DockingMachine, size: int, interrupts: output.Interrupts
+    ) -> None:
         """Run sessions of `size` dockings, each with its own tare; retry a failed docking in a new session.
 
         Raises:
@@ -225,25 +218,27 @@ class _Recording:
         while numbers := self.left()[:size]:
             before = self.count
             outcome = self._session(charger, machine, numbers)
-            what = outcome.message if outcome.code is Code.INTERNAL else f"{outcome.code.name}: {outcome.message}"
+            what = outcome.message if outcome.code is codes.Code.INTERNAL else f"{outcome.code.name}: {outcome.message}"
             if interrupts.event.is_set():
-                if machine.status.docked or outcome.code not in (Code.NONE, Code.CANCELED):
-                    raise CommandError(f"interrupted; {what}", INTERRUPTED)  # the arm is not home
+                if machine.status.docked or outcome.code not in (codes.Code.NONE, codes.Code.CANCELED):
+                    raise output.CommandError(f"interrupted; {what}", output.INTERRUPTED)  # the arm is not home
                 break
             if outcome.success:
                 continue
             failures = 1 if self.count > before else failures + 1
             if not outcome.retriable:
-                raise CommandError(what, code=int(outcome.code))
+                raise output.CommandError(what, code=int(outcome.code))
             if failures == _TRIES:
-                raise CommandError(f"a docking failed {_TRIES} times, {what}", code=int(outcome.code))
-            log_line(f"docking failed, {what}; trying again")
+                raise output.CommandError(f"a docking failed {_TRIES} times, {what}", code=int(outcome.code))
+            output.log_line(f"docking failed, {what}; trying again")
             if interrupts.event.wait(_PAUSE):
                 break
         if interrupts.event.is_set():
-            raise CommandError("interrupted; repeat the command to resume", INTERRUPTED)
+            raise output.CommandError("interrupted; repeat the command to resume", output.INTERRUPTED)
 
-    def _session(self, charger: RecordingCharger, machine: DockingMachine, numbers: Sequence[int]) -> DockingOutcome:
+    def _session(
+        self, charger: RecordingCharger, machine: DockingMachine, numbers: Sequence[int]
+    ) -> observation.DockingOutcome:
         """Make the dockings of these numbers; all frames are stored when this returns."""
         from deltacharger_bringup.records.charger import SessionKeeper
 
@@ -251,9 +246,9 @@ class _Recording:
         keeper = SessionKeeper(charger, self._journal, self._part, settings, numbers, self._report)
         places, holding = [commands[number] for number in numbers], settings.frames * _FRAME
         try:
-            return charger.run(machine, TouchSession(places, _DWELL, holding, keeper))
+            return charger.run(machine, session.TouchSession(places, _DWELL, holding, keeper))
         finally:
             try:
                 keeper.close()
-            except NotKept as error:
-                raise CommandError(str(error)) from error
+            except session.NotKept as error:
+                raise output.CommandError(str(error)) from error

@@ -16,9 +16,7 @@ from numpy.typing import NDArray
 from rclpy.context import Context
 from sensor_msgs.msg import CameraInfo, Image
 
-from deltacharger_bringup.cli.camera_views import ViewsFolder, view_places
-from deltacharger_bringup.cli.charger import DISCOVERY
-from deltacharger_bringup.cli.output import CommandError, Interrupts, log_line
+from deltacharger_bringup.cli import camera_views, charger, output
 from deltacharger_bringup.records.arm_client import STILL, ArmClient, ArmError
 from deltacharger_core.ros import qos
 from deltacharger_core.ros.client import Guest
@@ -44,7 +42,7 @@ def take(
     offset: Vector,
     geometry: DeltaGeometry,
     context: Context,
-    interrupts: Interrupts,
+    interrupts: output.Interrupts,
 ) -> None:
     """Fill the folder `options.views` up to `options.take` views, with the charger that `prepare` found.
 
@@ -54,29 +52,31 @@ def take(
         VisionError, ViewsError: the camera's intrinsics, its images or the folder cannot be used.
     """
     mount = Mount.load(options.mount) if options.mount else Mount.default()
-    folder: ViewsFolder | None = None
+    folder: camera_views.ViewsFolder | None = None
     try:
         with (
             ArmClient(context, geometry, options.namespace, interrupts.event) as arm,
             CameraClient(context, options.color_topic, options.namespace) as camera,
         ):
-            arm.wait_until_ready(DISCOVERY)
-            intrinsics = camera.intrinsics(DISCOVERY, arm.check)
-            folder = ViewsFolder(Path(options.views), intrinsics)
+            arm.wait_until_ready(charger.DISCOVERY)
+            intrinsics = camera.intrinsics(charger.DISCOVERY, arm.check)
+            folder = camera_views.ViewsFolder(Path(options.views), intrinsics)
             if folder.angles:
-                log_line(f"{options.views} contains {len(folder.angles)} views already; continuing to {options.take}")
+                output.log_line(
+                    f"{options.views} contains {len(folder.angles)} views already; continuing to {options.take}"
+                )
             radius = board.size / math.sqrt(2.0) + board.margin
-            places = view_places(geometry, 1e-3 * options.z_max_mm, mount, intrinsics, offset, radius)
+            places = camera_views.view_places(geometry, 1e-3 * options.z_max_mm, mount, intrinsics, offset, radius)
             if len(folder.angles) < options.take:
                 _visit(arm, camera, board, _left(places, folder, geometry), folder, options.take)
     except (ArmError, CameraError) as error:
         held = 0 if folder is None else len(folder.angles)
         kept = f"; {options.views} contains {held} views; repeat the command to resume" if held else ""
-        raise CommandError(f"{error}{kept}", interrupts.failure, views=held) from error
-    log_line(f"{options.views} contains {len(folder.angles)} views; the torque is off")
+        raise output.CommandError(f"{error}{kept}", interrupts.failure, views=held) from error
+    output.log_line(f"{options.views} contains {len(folder.angles)} views; the torque is off")
 
 
-def _left(places: Iterable[Vector], folder: ViewsFolder, geometry: DeltaGeometry) -> list[Vector]:
+def _left(places: Iterable[Vector], folder: camera_views.ViewsFolder, geometry: DeltaGeometry) -> list[Vector]:
     """Return the positions without a view in the folder.
 
     Raises:
@@ -86,17 +86,22 @@ def _left(places: Iterable[Vector], folder: ViewsFolder, geometry: DeltaGeometry
     held = [kinematics.forward(*angles) for angles in folder.angles]
     left = [place for place in places if all(math.dist(place, other) > PLACES_APART for other in held)]
     if not left:
-        raise CommandError(
+        raise output.CommandError(
             "with this --mount the camera sees the board at no new position: correct --mount or --board-…-mm"
         )
     return left
 
 
 def _visit(
-    arm: ArmClient, camera: CameraClient, board: Board, places: Iterable[Vector], folder: ViewsFolder, wanted: int
+    arm: ArmClient,
+    camera: CameraClient,
+    board: Board,
+    places: Iterable[Vector],
+    folder: camera_views.ViewsFolder,
+    wanted: int,
 ) -> None:
     """Move through the positions and store images that show the board, until there are enough."""
-    log_line("keep clear: the arm moves now")
+    output.log_line("keep clear: the arm moves now")
     arm.start()
     blind, tried = 0, 0
     for place in places:
@@ -109,20 +114,22 @@ def _visit(
         angles = arm.angles()
         where = ", ".join(f"{1e3 * value:.0f}" for value in place)
         if not _still(before, angles):
-            log_line(f"at ({where}) mm the arm moved while the image was taken; skipped")
+            output.log_line(f"at ({where}) mm the arm moved while the image was taken; skipped")
         elif board.detect(image) is None:
             blind += 1
-            log_line(f"at ({where}) mm the board is not visible")
+            output.log_line(f"at ({where}) mm the board is not visible")
             if blind == _BLIND and not folder.angles:
-                raise CommandError(
+                raise output.CommandError(
                     f"no image of {_BLIND} positions shows {board.name}: is it there, lit, and facing the camera?"
                 )
         else:
             middle = tuple(0.5 * (first + second) for first, second in zip(before, angles, strict=True))
             name = folder.add(image, (middle[0], middle[1], middle[2]))
-            log_line(f"{name}: {len(folder.angles)} of {wanted}, at ({where}) mm")
+            output.log_line(f"{name}: {len(folder.angles)} of {wanted}, at ({where}) mm")
     if len(folder.angles) < wanted:
-        log_line(f"only {len(folder.angles)} views at {tried} positions: correct --mount, or make the board visible")
+        output.log_line(
+            f"only {len(folder.angles)} views at {tried} positions: correct --mount, or make the board visible"
+        )
     arm.go_home()
 
 

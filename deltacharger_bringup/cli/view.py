@@ -27,24 +27,7 @@ from urllib.parse import quote
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_bringup.cli.arguments import (
-    DEFAULT_SCENE,
-    NOT_NEGATIVE,
-    file_to_read,
-    file_to_write,
-    namespace_option,
-)
-from deltacharger_bringup.cli.charger import prepare, ros_context
-from deltacharger_bringup.cli.output import (
-    DONE,
-    FAILED,
-    WRONG_INPUT,
-    CommandError,
-    Interrupts,
-    Result,
-    log_line,
-    wrong_input,
-)
+from deltacharger_bringup.cli import arguments, charger, output
 from deltacharger_bringup.cli.scene import load_for_command
 from deltacharger_bringup.scenes.scene import Scene
 from deltacharger_core import environment
@@ -123,12 +106,16 @@ def add_view(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--camera", action="store_true", help="also subscribe to and show the image, at 5 Hz")
     parser.add_argument(
-        "--stop-after-s", type=NOT_NEGATIVE, default=0.0, metavar="S", help="show it for this time (until Ctrl-C)"
+        "--stop-after-s",
+        type=arguments.NOT_NEGATIVE,
+        default=0.0,
+        metavar="S",
+        help="show it for this time (until Ctrl-C)",
     )
-    namespace_option(parser)
+    arguments.namespace_option(parser)
 
 
-def view(options: argparse.Namespace) -> Result:
+def view(options: argparse.Namespace) -> output.Result:
     """Show a running charger until an interruption, or a recording."""
     rr = _rerun()
     _check_places(options)
@@ -136,7 +123,7 @@ def view(options: argparse.Namespace) -> Result:
     if options.web is None:
         return show(rr, options)
     with _serving(options.web):
-        log_line(f"open {options.web.page}")
+        output.log_line(f"open {options.web.page}")
         return show(rr, options)
 
 
@@ -144,26 +131,28 @@ def _rerun() -> Any:
     try:
         import rerun
     except ImportError as error:
-        raise CommandError(f"{error.name} is not installed: {_EXTRA}", WRONG_INPUT) from error
+        raise output.CommandError(f"{error.name} is not installed: {_EXTRA}", output.WRONG_INPUT) from error
     if not hasattr(rerun, "StateChange"):  # another package of this name, or too old
-        raise CommandError(f"the installed package rerun is too old or another one: {_EXTRA}", WRONG_INPUT)
+        raise output.CommandError(
+            f"the installed package rerun is too old or another one: {_EXTRA}", output.WRONG_INPUT
+        )
     return rerun
 
 
 def _check_places(options: argparse.Namespace) -> None:
     """Check files and viewer before the start, so that nothing fails at the end."""
     if options.recording is not None:
-        file_to_read("--recording", options.recording)
+        arguments.file_to_read("--recording", options.recording)
     if options.recording is not None and options.stop_after_s:
-        raise CommandError("--stop-after-s is for a running charger, not for --recording", WRONG_INPUT)
+        raise output.CommandError("--stop-after-s is for a running charger, not for --recording", output.WRONG_INPUT)
     if options.save is not None:
-        file_to_write("--save", options.save, ".rrd")
+        arguments.file_to_write("--save", options.save, ".rrd")
     has_screen = sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     if not (options.save or options.web or has_screen):
-        raise CommandError(
+        raise output.CommandError(
             "no screen found: give --web and open its page in a browser, or --save FILE.rrd and open it elsewhere with "
             "`rerun FILE.rrd`",
-            WRONG_INPUT,
+            output.WRONG_INPUT,
         )
 
 
@@ -193,7 +182,7 @@ def _open(
             _find_viewer()
             recording.spawn(default_blueprint=layout)
     except (OSError, RuntimeError, ValueError) as error:
-        raise CommandError(f"Rerun cannot start: {error}", FAILED) from error
+        raise output.CommandError(f"Rerun cannot start: {error}", output.FAILED) from error
     return ViewFeed(ViewLog(rr, recording, geometry, camera), geometry, parameters), partial(_close, recording)
 
 
@@ -206,7 +195,7 @@ def _serving(address: WebAddress) -> Iterator[None]:
     """
     package = find_spec("rerun_cli")
     if package is None or package.origin is None:
-        raise CommandError(f"Rerun's viewer is not installed: {_EXTRA}", WRONG_INPUT)
+        raise output.CommandError(f"Rerun's viewer is not installed: {_EXTRA}", output.WRONG_INPUT)
     ports = (address.port, address.port + 1)
     for port in ports:
         _require_free(address, port)
@@ -221,7 +210,7 @@ def _serving(address: WebAddress) -> Iterator[None]:
                 if process.poll() is not None or time.monotonic() > end:
                     log.seek(0)
                     lines = log.read().decode(errors="replace").strip().splitlines() or ["no output"]
-                    raise CommandError(f"Rerun's web viewer does not start: {lines[-1]}", FAILED)
+                    raise output.CommandError(f"Rerun's web viewer does not start: {lines[-1]}", output.FAILED)
                 time.sleep(_PERIOD)
             yield
         finally:
@@ -239,10 +228,10 @@ def _require_free(address: WebAddress, port: int) -> None:
         try:
             probe.bind((address.host, port))
         except OSError as error:
-            raise CommandError(
+            raise output.CommandError(
                 f"port {port} of {address.host} cannot be used ({error.strerror}): give another port, "
                 f"--web {address.host}:PORT; the data use the next port",
-                FAILED,
+                output.FAILED,
             ) from error
 
 
@@ -263,7 +252,7 @@ def _close(recording: Any) -> None:
     try:
         recording.flush(timeout_sec=_FLUSH)
     except Exception as error:  # rerun raises its own classes; the data are lost
-        raise CommandError(f"not everything reached the viewer: {error}", FAILED) from error
+        raise output.CommandError(f"not everything reached the viewer: {error}", output.FAILED) from error
     finally:
         recording.disconnect()
 
@@ -277,7 +266,7 @@ def settings_of(scene: Scene) -> Settings:
     from deltacharger_bringup.records.node_parameters import docking_settings
 
     given = scene.parameters.get("kinematics_node", {})
-    with wrong_input(OSError, ValueError, before=f"{scene.file}: parameters: "):
+    with output.wrong_input(OSError, ValueError, before=f"{scene.file}: parameters: "):
         return docking_settings({**scene.parameters.get("docking_node", {}), **given})
 
 
@@ -288,13 +277,13 @@ def mount_of(scene: Scene) -> NDArray[np.float64]:
         CommandError: it is refused; exit code 2.
     """
     given = scene.parameters.get("electrode_detector_node", {})
-    with wrong_input(OSError, ValueError, before=f"{scene.file}: parameters.electrode_detector_node: "):
+    with output.wrong_input(OSError, ValueError, before=f"{scene.file}: parameters.electrode_detector_node: "):
         return (Mount.load(given_path(given["mount_file"])) if given.get("mount_file") else Mount.default()).pose
 
 
-def _show_charger(rr: Any, options: argparse.Namespace) -> Result:
-    scene = prepare(options, look_around=True)
-    with Interrupts() as interrupts, ros_context() as context:
+def _show_charger(rr: Any, options: argparse.Namespace) -> output.Result:
+    scene = charger.prepare(options, look_around=True)
+    with output.Interrupts() as interrupts, charger.ros_context() as context:
         from deltacharger_bringup.records.view.feed import COLOR_IMAGE, TOPICS, Listener
 
         feed, complete = _open(rr, options, scene)
@@ -303,7 +292,7 @@ def _show_charger(rr: Any, options: argparse.Namespace) -> Result:
         began = time.monotonic()
         silent: list[str] | None = None
         try:
-            log_line(f"listening in ROS domain {environment.domain()}; Ctrl-C ends it")
+            output.log_line(f"listening in ROS domain {environment.domain()}; Ctrl-C ends it")
             while not interrupts.event.wait(_PERIOD):
                 listener.hand(feed)
                 passed = time.monotonic() - began
@@ -323,15 +312,15 @@ def _report_silence(feed: ViewFeed, namespace: str) -> list[str]:
     silent = [f"/{namespace}/{name}" if namespace else f"/{name}" for name in ALWAYS_THERE if not feed.counts[name]]
     if silent:
         hint = "is a charger running" if len(silent) == len(ALWAYS_THERE) else "are their nodes running"
-        log_line(
+        output.log_line(
             f"no messages for {_SILENT_AFTER:g} s on {', '.join(silent)}: {hint} in ROS domain "
             f"{environment.domain()}, in this namespace? Still listening"
         )
     return silent
 
 
-def _show_recording(rr: Any, options: argparse.Namespace) -> Result:
-    scene = load_for_command(options.scene or DEFAULT_SCENE)
+def _show_recording(rr: Any, options: argparse.Namespace) -> output.Result:
+    scene = load_for_command(options.scene or arguments.DEFAULT_SCENE)
     environment.prepare()
     from deltacharger_bringup.records.node_parameters import recorded_settings
     from deltacharger_bringup.records.recording.recorded import Recording
@@ -339,16 +328,16 @@ def _show_recording(rr: Any, options: argparse.Namespace) -> Result:
     from deltacharger_core.mcap_file import RecordingError
 
     began = time.monotonic()
-    with wrong_input(RecordingError):
+    with output.wrong_input(RecordingError):
         recording = Recording(Path(options.recording), options.namespace, TOPICS, states=False)
         settings = recorded_settings(recording.file)
-        with Interrupts() as interrupts:
+        with output.Interrupts() as interrupts:
             own = settings if options.scene is None else None
             feed, complete = _open(rr, options, scene, own)
             try:
                 play(recording, feed, interrupts.event.is_set)
                 if options.web is not None:
-                    log_line("shown; Ctrl-C ends the viewer")
+                    output.log_line("shown; Ctrl-C ends the viewer")
                     interrupts.event.wait()
             finally:
                 complete()
@@ -356,8 +345,8 @@ def _show_recording(rr: Any, options: argparse.Namespace) -> Result:
 
 
 def _report(
-    options: argparse.Namespace, feed: ViewFeed, took: float, interrupts: Interrupts, silent: Sequence[str] = ()
-) -> Result:
+    options: argparse.Namespace, feed: ViewFeed, took: float, interrupts: output.Interrupts, silent: Sequence[str] = ()
+) -> output.Result:
     """Return what was shown."""
     counts = dict(sorted(feed.counts.items()))
     place = options.save or (options.web.page if options.web else "")
@@ -366,4 +355,4 @@ def _report(
     if options.save is not None:
         remarks.append(f"open it with: rerun {options.save}")
     details = {"success": True, "saved": options.save, "messages": counts, "silent": list(silent), "elapsed": took}
-    return Result("", details, interrupts.exit_code(DONE), remarks)
+    return output.Result("", details, interrupts.exit_code(output.DONE), remarks)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`deltacharger vision detect`: find electrodes in an image or a recording."""
 
-from __future__ import annotations
-
 import argparse
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -12,16 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from deltacharger_bringup.cli.arguments import folder_to_write
-from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, Result, Tenths, WrongInput, log_line, wrong_input
+from deltacharger_bringup.cli import arguments, output
 from deltacharger_core import environment
 from deltacharger_core.mcap_file import RecordingError, recordings_in
+from deltacharger_vision import image_files, terminal
 from deltacharger_vision.detector.detector import ElectrodeDetector, annotated
 from deltacharger_vision.errors import VisionError
-from deltacharger_vision.image_files import ImageFiles, load_camera_info, require_opencv, write_picture
 from deltacharger_vision.mount import CAMERA_FRAME, FRAME, Mount, Placed
 from deltacharger_vision.ros.recording import CameraRecording, CameraTopics
-from deltacharger_vision.terminal import Detection, Terminal
 
 _TOPICS = ("color_topic", "depth_topic")
 _PLACED = ("position", "roll", "normal", "covariance")
@@ -54,37 +50,37 @@ class _Images:
     camera: Any
 
 
-def detect(options: argparse.Namespace) -> Result:
+def detect(options: argparse.Namespace) -> output.Result:
     """Find the electrodes in one image or in many."""
-    with wrong_input(VisionError, RecordingError):
-        require_opencv().setNumThreads(1)  # an image is too little work for several threads
-        pictures = None if options.pictures is None else folder_to_write("--pictures", options.pictures)
+    with output.wrong_input(VisionError, RecordingError):
+        image_files.require_opencv().setNumThreads(1)  # an image is too little work for several threads
+        pictures = None if options.pictures is None else arguments.folder_to_write("--pictures", options.pictures)
         source = _source(options, Path(options.path))
         results: list[dict[str, Any]] = []
         try:
-            progress = Tenths()
+            progress = output.Tenths()
             for result in _search(options, source, pictures):
                 results.append(result)
                 progress(len(results) / source.count, f"{len(results)} of {source.count} images")
         except RecordingError as error:  # images before the damage are still reported
             if not results:
                 raise
-            log_line(str(error))
+            output.log_line(str(error))
     if not results:
         text = f"none of {source.count} images has a depth image of the same instant: record both with equal stamps"
-        raise WrongInput(f"{options.path}: {text}")
+        raise output.WrongInput(f"{options.path}: {text}")
     found, broken = (sum(bool(each.get(name)) for each in results) for name in ("found", "error"))
     left_out = source.count - len(results)  # without depth of the same instant, or behind damage
     total = {"found": found, "images": len(results), "broken": broken, "left_out": left_out}
     lines = [f"{each['name']}: {_text(each)}" for each in results]
     lines.append(f"electrodes found in {found} of {len(results)} images; {broken} broken, {left_out} left out")
-    code = DONE if found else WRONG_INPUT if broken == len(results) else FAILED
-    return Result("\n".join(lines), {"frame": CAMERA_FRAME, **total, "results": results}, code)
+    code = output.DONE if found else output.WRONG_INPUT if broken == len(results) else output.FAILED
+    return output.Result("\n".join(lines), {"frame": CAMERA_FRAME, **total, "results": results}, code)
 
 
 def _search(options: argparse.Namespace, source: _Images, pictures: Path | None) -> Iterator[dict[str, Any]]:
     """Yield the result of each image; a broken one of many has `error`."""
-    detector = ElectrodeDetector(Terminal.load(options.terminal) if options.terminal else None)
+    detector = ElectrodeDetector(terminal.Terminal.load(options.terminal) if options.terminal else None)
     mount = Mount.load(options.mount) if options.mount else None
     for each in source.images:
         try:
@@ -96,21 +92,23 @@ def _search(options: argparse.Namespace, source: _Images, pictures: Path | None)
             yield {"name": each.name, "error": str(error)}
             continue
         if pictures is not None:
-            write_picture(pictures / f"{each.name}.png", annotated(image, found))
+            image_files.write_picture(pictures / f"{each.name}.png", annotated(image, found))
         yield {"name": each.name, **_fields(found, mount)}
 
 
 def _source(options: argparse.Namespace, path: Path) -> _Images:
     if recordings_in(path) or path.is_dir():
         if options.depth is not None:
-            raise WrongInput("--depth is for one image")
+            raise output.WrongInput("--depth is for one image")
         return _recorded(options, path)
     for name in filter(lambda name: getattr(options, name), _TOPICS):
-        raise WrongInput(f"--{name.replace('_', '-')} is for a recording")
+        raise output.WrongInput(f"--{name.replace('_', '-')} is for a recording")
     if options.camera_info is None:
-        raise WrongInput("one image needs --camera-info, its intrinsics")
+        raise output.WrongInput("one image needs --camera-info, its intrinsics")
     depth = None if options.depth is None else Path(options.depth)
-    return _Images([ImageFiles(path.stem, path, depth)], 1, load_camera_info(options.camera_info))
+    return _Images(
+        [image_files.ImageFiles(path.stem, path, depth)], 1, image_files.load_camera_info(options.camera_info)
+    )
 
 
 def _recorded(options: argparse.Namespace, path: Path) -> _Images:
@@ -120,18 +118,18 @@ def _recorded(options: argparse.Namespace, path: Path) -> _Images:
 
     recording = CameraRecording(path, CameraTopics(options.color_topic, options.depth_topic))
     topics = recording.topics
-    given = None if options.camera_info is None else load_camera_info(options.camera_info)
+    given = None if options.camera_info is None else image_files.load_camera_info(options.camera_info)
     camera = given or recorded_info(recording)
     if camera is None:
-        raise WrongInput(f"{path} has no camera_info beside {topics.color}; give --camera-info")
+        raise output.WrongInput(f"{path} has no camera_info beside {topics.color}; give --camera-info")
     if not recording.images:
-        raise WrongInput(f"{path}: {topics.color} holds no images; record again")
+        raise output.WrongInput(f"{path}: {topics.color} holds no images; record again")
     if not topics.depth:
-        log_line(f"{path} has no depth topic; using the colour images alone")
+        output.log_line(f"{path} has no depth topic; using the colour images alone")
     return _Images(recorded_images(recording), recording.images, camera)
 
 
-def _fields(found: Detection | None, mount: Mount | None) -> dict[str, Any]:
+def _fields(found: terminal.Detection | None, mount: Mount | None) -> dict[str, Any]:
     """Return the result of one image, with a mount also in charger_base; NaN = unknown, None = no electrodes."""
     result = {"found": found is not None, "frame": CAMERA_FRAME, **_named(found, _SEEN)}
     if mount is not None:
@@ -139,7 +137,7 @@ def _fields(found: Detection | None, mount: Mount | None) -> dict[str, Any]:
     return result
 
 
-def _named(found: Detection | Placed | None, names: Sequence[str]) -> dict[str, Any]:
+def _named(found: terminal.Detection | Placed | None, names: Sequence[str]) -> dict[str, Any]:
     values = {name: getattr(found, name, None) for name in names}
     return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in values.items()}
 

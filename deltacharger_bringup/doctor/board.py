@@ -5,8 +5,6 @@ It starts and stops the stream and makes one probe (≤ 5 V, ≤ 50 mA). It send
 a command to the contactor: to clear a weld.
 """
 
-from __future__ import annotations
-
 import math
 import statistics
 import time
@@ -17,22 +15,9 @@ import numpy as np
 
 from deltacharger_bringup.doctor.findings import Finding, failed, hint, ok, wrong
 from deltacharger_core.machine import BATTERY_MAX, BATTERY_MIN, BAUD_RATE, CONTACT_FORCE, Port, port_of
+from deltacharger_driver import errors, port_identity
+from deltacharger_driver.board import protocol
 from deltacharger_driver.board.link import BoardLink
-from deltacharger_driver.board.protocol import (
-    HEARTBEAT_PERIOD,
-    POWER_RATE,
-    BoardMismatch,
-    CommandRefused,
-    Hello,
-    PowerSample,
-    TactileSample,
-    clearing,
-    fault_name,
-    probe_problem,
-    weld_problem,
-)
-from deltacharger_driver.errors import NoAnswer
-from deltacharger_driver.port_identity import identify
 from deltacharger_tactile.estimator import Limits
 
 WATCHED = 2.0  # s of stream
@@ -54,16 +39,16 @@ def examine_board(
         wired: the electrodes are wired to the battery (power: none): no power stage and no probe.
         clear_weld: clear a latched weld, if nothing is live.
     """
-    frames: list[TactileSample] = []
-    powers: list[PowerSample] = []
+    frames: list[protocol.TactileSample] = []
+    powers: list[protocol.PowerSample] = []
     link = BoardLink(path, on_tactile=frames.append, on_power=powers.append)
     try:
         hello = link.open()
-    except BoardMismatch as error:
+    except protocol.BoardMismatch as error:
         yield failed("board", error, "flash the firmware of this version, or give the right port")
         return
-    except NoAnswer as error:
-        if identify(path, (BAUD_RATE, 57600)).kind == "servos":
+    except errors.NoAnswer as error:
+        if port_identity.identify(path, (BAUD_RATE, 57600)).kind == "servos":
             advice = "exchange the two cables, or the two ports in the scene or on the command line"
             yield wrong("board", f"{path}: the servos are here, not the board", advice)
         else:
@@ -84,16 +69,17 @@ def examine_board(
         link.close()
 
 
-def _firmware(link: BoardLink, hello: Hello) -> Iterator[Finding]:
+def _firmware(link: BoardLink, hello: protocol.Hello) -> Iterator[Finding]:
     trip = statistics.median(link.ping() for _ in range(_PINGS))
     text = f"version {hello.major}.{hello.minor}, {hello.rows} x {hello.columns} taxels per pad, {hello.rate:g} Hz"
     yield ok("board", f"{text}; answers in {trip * 1e3:.1f} ms")
-    if trip > HEARTBEAT_PERIOD:
-        slow = f"it takes {trip * 1e3:.0f} ms to answer; heartbeats are sent every {HEARTBEAT_PERIOD * 1e3:.0f} ms"
+    if trip > protocol.HEARTBEAT_PERIOD:
+        period = protocol.HEARTBEAT_PERIOD * 1e3
+        slow = f"it takes {trip * 1e3:.0f} ms to answer; heartbeats are sent every {period:.0f} ms"
         yield hint("board", slow, "find what delays bytes: an adapter's latency timer, a hub, a busy computer")
 
 
-def _stream(link: BoardLink, hello: Hello, frames: list[Any], watched: float) -> Iterator[Finding]:
+def _stream(link: BoardLink, hello: protocol.Hello, frames: list[Any], watched: float) -> Iterator[Finding]:
     before, damaged = link.counters, link.decoder_counters.damaged
     link.start()
     began = time.monotonic()
@@ -149,10 +135,10 @@ def _pads(frames: list[Any]) -> Iterator[Finding]:
 def _clear_weld(link: BoardLink, powers: list[Any]) -> Finding:
     try:
         link.clear_weld()
-    except (CommandRefused, NoAnswer) as error:
-        live = weld_problem(powers[-1].power) if powers else ""
+    except (protocol.CommandRefused, errors.NoAnswer) as error:
+        live = protocol.weld_problem(powers[-1].power) if powers else ""
         return failed("weld", error, f"{live}: undock and switch the battery off" if live else "")
-    time.sleep(2.0 / POWER_RATE)  # the next report is without it
+    time.sleep(2.0 / protocol.POWER_RATE)  # the next report is without it
     return ok("weld", "none is latched")
 
 
@@ -164,7 +150,7 @@ def _power(powers: list[Any]) -> Iterator[Finding]:
         return
     power = powers[-1].power
     if power.fault:
-        yield wrong("power", f"fault latched: {fault_name(power.fault)}", clearing(power.fault))
+        yield wrong("power", f"fault latched: {protocol.fault_name(power.fault)}", protocol.clearing(power.fault))
     if power.contactor_closed:
         advice = "switch the battery off: without a heartbeat it must be open; the contactor may be welded"
         yield wrong("power", "the contactor reports closed without a command", advice)
@@ -191,7 +177,7 @@ def _wired(powers: list[Any]) -> Finding:
     return wrong("power", text, "set docking_node's power to board, to use contactor and probe")
 
 
-def _stage(hello: Hello) -> Finding:
+def _stage(hello: protocol.Hello) -> Finding:
     """Return what the board declares of its stage; compare it with the converter's label."""
     way = "charges above its battery's voltage" if hello.steps_up else "only steps down"
     constant = "the board sets its voltage" if math.isnan(hello.stage_voltage) else f"{hello.stage_voltage:.1f} V"
@@ -201,7 +187,7 @@ def _stage(hello: Hello) -> Finding:
 def _probe(link: BoardLink) -> Finding:
     try:
         result = link.probe()
-    except (CommandRefused, NoAnswer) as error:
+    except (protocol.CommandRefused, errors.NoAnswer) as error:
         return failed("probe", error, "clear the fault and open the contactor; else check the power stage's plug")
     port = port_of(result.resistance, result.target_voltage)
     if port is Port.OPEN:
@@ -217,4 +203,4 @@ def _probe(link: BoardLink) -> Finding:
         Port.REVERSED: "swap the terminals of the target, or of the board's probe",
         Port.UNKNOWN: "check the power stage's plug",
     }
-    return wrong("probe", probe_problem(result.resistance, result.target_voltage), remedies[port])
+    return wrong("probe", protocol.probe_problem(result.resistance, result.target_voltage), remedies[port])

@@ -6,8 +6,6 @@ do so: python -m deltacharger_bringup.doctor.environment. It prints lines of JSO
 findings. With `--alone` it does not search for chargers.
 """
 
-from __future__ import annotations
-
 import contextlib
 import grp
 import importlib

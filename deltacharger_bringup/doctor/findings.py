@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A finding of the doctor: part, level, message and remedy."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Literal

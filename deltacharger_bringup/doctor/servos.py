@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checks of the servos (present, right speed, healthy, set as the driver requires)."""
 
-from __future__ import annotations
-
 import statistics
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -11,9 +9,8 @@ from deltacharger_bringup.doctor.findings import Finding, failed, hint, ok, wron
 from deltacharger_core.servo_types import NAMES, TYPES, ServoType
 from deltacharger_driver.errors import CorruptReply, NoAnswer, ServoFault
 from deltacharger_driver.port_identity import SERVO_SPEEDS, FoundServo, PortIdentity, identify
-from deltacharger_driver.servos.bus import check_registers
+from deltacharger_driver.servos import bus, registers
 from deltacharger_driver.servos.link import ServoLink
-from deltacharger_driver.servos.registers import WATCHDOG_TRIPPED, describe_hardware_error
 
 SUPPLY = (11.0, 13.0)  # V, what a 12 V regulator gives
 _WARM = 15.0  # °C below the servo's own limit
@@ -125,10 +122,10 @@ def _health(link: ServoLink, servo: int, kind: ServoType) -> Iterator[Finding]:
     errors = link.read(servo, "hardware_error")
     if errors:
         advice = "remove the cause, then call the service reboot_servos or switch the supply off and on"
-        yield wrong(part, f"hardware error latched: {describe_hardware_error(errors)}", advice)
+        yield wrong(part, f"hardware error latched: {registers.describe_hardware_error(errors)}", advice)
     if link.read(servo, "torque_enable"):
         yield hint(part, "its torque is on although no driver runs", "servo_node switches it off when it starts")
-    if link.read(servo, "bus_watchdog") == WATCHDOG_TRIPPED:
+    if link.read(servo, "bus_watchdog") == registers.WATCHDOG_TRIPPED:
         text = "its bus watchdog has tripped: it received nothing for too long and accepts no goals"
         yield hint(part, text, "servo_node clears it when it starts")
     voltage = kind.voltage_unit * link.read(servo, "input_voltage")
@@ -149,7 +146,7 @@ def _health(link: ServoLink, servo: int, kind: ServoType) -> Iterator[Finding]:
 
 def _settings(link: ServoLink, servo: int, kind: ServoType, current_max: float) -> Iterator[Finding]:
     """Yield the registers that servo_node would refuse."""
-    for fault in check_registers(link, servo, kind, current_max):
+    for fault in bus.check_registers(link, servo, kind, current_max):
         what, _, advice = fault.partition("; ")
         advice = f"{advice}; set it with the vendor's wizard" if "wizard" not in advice else advice
         yield wrong(f"servo {servo}", what.removeprefix(f"servo {servo}: "), advice)

@@ -6,8 +6,6 @@ the arm while docking_node serves a goal or is docked. `MeasuringArm` measures s
 angles and currents unfiltered.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import secrets
@@ -25,23 +23,18 @@ from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
 from deltacharger_bringup.records.node_parameters import ParameterReader
-from deltacharger_core.machine import in_words
+from deltacharger_core import machine, servo_types
 from deltacharger_core.ros import qos
 from deltacharger_core.ros.client import Guest
-from deltacharger_core.servo_types import STIFFNESS_MAX, STIFFNESS_MIN
-from deltacharger_docking.arm import Planner
-from deltacharger_docking.codes import Unreachable
+from deltacharger_docking import arm, codes
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.ros.messages import trajectory
-from deltacharger_kinematics import DeltaGeometry
-from deltacharger_kinematics.calibration.data import TICK, Encoder
-from deltacharger_kinematics.calibration.servo_fit import ArmReadings, whole_ticks
+from deltacharger_kinematics import DeltaGeometry, scalar, trajectory_feed
+from deltacharger_kinematics.calibration import data, servo_fit
 from deltacharger_kinematics.geometry import Vector
-from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_kinematics.trajectory_feed import Waypoint
 
 SPEED = 0.06  # m/s, peak; a person may stand close by
-STILL = 2.5 * TICK  # rad; an arm whose angles vary by less is at rest
+STILL = 2.5 * data.TICK  # rad; an arm whose angles vary by less is at rest
 _WINDOW = 0.5  # s over which it must be at rest, and over which its angles are averaged
 _FEWEST = 10  # messages in that window
 _SILENCE = 1.0  # s without servo_state
@@ -144,8 +137,8 @@ class ArmClient(ArmGuest):
         self, context: Context, geometry: DeltaGeometry, namespace: str = "", stop: threading.Event | None = None
     ) -> None:
         super().__init__("arm_client", context, namespace, stop)
-        self._planner = Planner(DockingParameters(), geometry)
-        self._kinematics = ScalarDelta(geometry)
+        self._planner = arm.Planner(DockingParameters(), geometry)
+        self._kinematics = scalar.ScalarDelta(geometry)
         self._commanded: Vector | None = None
         self._secret = secrets.token_hex(16)  # identifies this program to servo_node
         self._switched_on = self.is_released = False
@@ -170,11 +163,11 @@ class ArmClient(ArmGuest):
         if not self._wait(ready, timeout):
             raise ArmError("servo_node does not answer: start the charger with `deltacharger up`, in this ROS domain")
 
-    def encoder(self) -> Encoder | None:
+    def encoder(self) -> data.Encoder | None:
         """Return servo_node's encoder parameters; None if it does not answer."""
         parameters = self._ask("servo_node")
         values = tuple(parameters.get(name, ()) for name in ("zero_ticks", "direction"))
-        return Encoder(*values) if [len(value) for value in values] == [3, 3] else None
+        return data.Encoder(*values) if [len(value) for value in values] == [3, 3] else None
 
     def start(self) -> None:
         """Switch the torque on, holding the present position.
@@ -205,7 +198,7 @@ class ArmClient(ArmGuest):
         self.check()
         try:
             waypoints = self._planner.line(self._commanded or self.position(), goal, SPEED)
-        except Unreachable as error:
+        except codes.Unreachable as error:
             raise ArmError(str(error)) from error
         self._publish(waypoints)
         self._commanded = goal
@@ -235,7 +228,7 @@ class ArmClient(ArmGuest):
         if any(state.hardware_error):
             raise ArmError(f"a servo reports hardware error {list(state.hardware_error)}; see `reboot_servos`")
         if self._commanded is not None and not all(state.torque_enabled):
-            why = in_words(state.stray) or "check servo_node's diagnostics"
+            why = machine.in_words(state.stray) or "check servo_node's diagnostics"
             raise ArmError(f"the servos lost their torque: {why}")
 
     def angles(self) -> Vector:
@@ -304,10 +297,10 @@ class MeasuringArm(ArmClient):
 
     def start(self) -> None:
         """Switch the torque on as `ArmClient.start` does, and hold the position by known goals."""
-        here = whole_ticks(self.angles())
+        here = servo_fit.whole_ticks(self.angles())
         super().start()
         self._goals = here
-        self._publish([Waypoint(_LATE, here, ())])  # type: ignore[arg-type]  # no bound: servo_node's own
+        self._publish([trajectory_feed.Waypoint(_LATE, here, ())])  # type: ignore[arg-type]  # no bound: servo_node's own
 
     def clock(self) -> float:
         """Return the time, s."""
@@ -315,7 +308,7 @@ class MeasuringArm(ArmClient):
 
     def goals(self) -> Vector:
         """Return the commanded angles, rad."""
-        return self._goals or whole_ticks(self.angles())
+        return self._goals or servo_fit.whole_ticks(self.angles())
 
     def follow(self, line: Sequence[tuple[float, Vector]], bound: Vector) -> None:
         """Move the goals along a line, see `ServoArm`.
@@ -324,12 +317,12 @@ class MeasuringArm(ArmClient):
             ArmError: the arm may no longer be moved.
         """
         self.check()
-        self._publish([Waypoint(at, whole_ticks(goals), bound) for at, goals in line])
-        self._goals = whole_ticks(line[-1][1])
+        self._publish([trajectory_feed.Waypoint(at, servo_fit.whole_ticks(goals), bound) for at, goals in line])
+        self._goals = servo_fit.whole_ticks(line[-1][1])
         over = time.monotonic() + line[-1][0] + _LATE
         self._wait(lambda: time.monotonic() >= over, math.inf, self.check)
 
-    def read(self, seconds: float) -> ArmReadings:
+    def read(self, seconds: float) -> servo_fit.ArmReadings:
         """Return the servo_state readings of the next `seconds`, at least one message.
 
         Raises:
@@ -342,12 +335,12 @@ class MeasuringArm(ArmClient):
         self._wait(lambda: time.monotonic() >= over and len(currents) > 0, seconds + _PATIENCE, self.check)
         self.check()
         with self._lock:
-            return ArmReadings(np.array(angles).reshape(-1, 3), np.array(currents).reshape(-1, 3))
+            return servo_fit.ArmReadings(np.array(angles).reshape(-1, 3), np.array(currents).reshape(-1, 3))
 
     def retire(self, stiffness: float) -> None:
         """Move to docking's rest position; `stiffness` (N·m/rad) compensates the weight; errors as in `move`."""
-        known = min(max(stiffness, STIFFNESS_MIN), STIFFNESS_MAX)
-        self._planner = Planner(
+        known = min(max(stiffness, servo_types.STIFFNESS_MIN), servo_types.STIFFNESS_MAX)
+        self._planner = arm.Planner(
             dataclasses.replace(DockingParameters(), servo_stiffness=known), self._kinematics.geometry
         )
         self._commanded = self.position()

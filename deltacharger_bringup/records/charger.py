@@ -22,20 +22,14 @@ from numpy.typing import NDArray
 from rclpy.context import Context
 from std_srvs.srv import Trigger
 
-from deltacharger_bringup.records.arm_client import ArmError, ArmGuest
-from deltacharger_bringup.records.node_parameters import docking_settings
+from deltacharger_bringup.records import arm_client, node_parameters
 from deltacharger_bringup.records.session import Docking, Journal, NotKept, Part, Rested, Settings, TouchSession
 from deltacharger_core.frames import TransformParameters
-from deltacharger_core.ros.clock import before_now
-from deltacharger_core.ros.log import Log
-from deltacharger_core.ros.qos import SENSOR, SERVICE
-from deltacharger_docking.codes import TactileStale
+from deltacharger_core.ros import clock, log, qos
+from deltacharger_docking import codes, parameters
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import Command, DockingOutcome, Observation, Request, Service
-from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.ros import messages as io
-from deltacharger_docking.ros.inputs import Inputs
-from deltacharger_docking.ros.services import Services
+from deltacharger_docking.ros import inputs, messages as io, services
 from deltacharger_kinematics.geometry import DeltaGeometry
 
 _SIDE = 10  # taxels
@@ -136,13 +130,13 @@ def _pads(frame: TactileFrame) -> NDArray[np.float32]:
     """
     pads = (frame.left, frame.right)
     if (frame.rows, frame.columns) != (_SIDE, _SIDE) or {len(pad) for pad in pads} != {_SIDE * _SIDE}:
-        raise TactileStale(f"tactile_frame is {frame.rows} × {frame.columns}; data sets hold {_SIDE} × {_SIDE}")
+        raise codes.TactileStale(f"tactile_frame is {frame.rows} × {frame.columns}; data sets hold {_SIDE} × {_SIDE}")
     if not frame.tared:
-        raise TactileStale("the frames are no longer tared because the board has restarted: check its supply")
+        raise codes.TactileStale("the frames are no longer tared because the board has restarted: check its supply")
     return np.array(pads, dtype=np.float32).reshape(2, _SIDE, _SIDE)
 
 
-class RecordingCharger(ArmGuest):
+class RecordingCharger(arm_client.ArmGuest):
     """Drives a charger through recording sessions.
 
     Args:
@@ -161,10 +155,10 @@ class RecordingCharger(ArmGuest):
         self.is_driving = False
         self.frames: list[TactileFrame] = []
         self._since = math.inf  # ns by the ROS clock
-        self._inputs = Inputs(self.node, Log(self.node))
-        self._calls = Services(self.node, TransformParameters())
-        self.node.create_subscription(TactileFrame, "tactile_frame", self._on_frame, SENSOR)
-        self._tare: Any = self.node.create_client(Trigger, "tare", qos_profile=SERVICE)
+        self._inputs = inputs.Inputs(self.node, log.Log(self.node))
+        self._calls = services.Services(self.node, TransformParameters())
+        self.node.create_subscription(TactileFrame, "tactile_frame", self._on_frame, qos.SENSOR)
+        self._tare: Any = self.node.create_client(Trigger, "tare", qos_profile=qos.SERVICE)
         self.serve()
 
     @property
@@ -195,28 +189,28 @@ class RecordingCharger(ArmGuest):
         }
         if not self._wait(lambda: all(is_there() for is_there in needs.values()), timeout):
             if self._stop.is_set():
-                raise ArmError("interrupted")
+                raise arm_client.ArmError("interrupted")
             missing = ", ".join(name for name, is_there in needs.items() if not is_there())
-            raise ArmError(
+            raise arm_client.ArmError(
                 f"charger does not answer (missing: {missing}): start one with `deltacharger up`, in this ROS domain"
             )
         self._wait(lambda: self._docking is not None, _LATE)
 
-    def settings(self) -> tuple[DockingParameters, DeltaGeometry]:
+    def settings(self) -> tuple[parameters.DockingParameters, DeltaGeometry]:
         """Return docking_node's parameters, or the defaults without docking_node; call `wait_until_ready` first.
 
         Raises:
             ArmError: docking_node does not report its parameters, or they cannot be used on this computer.
         """
         if not self.has_docking_node:
-            return DockingParameters(), DeltaGeometry()
+            return parameters.DockingParameters(), DeltaGeometry()
         values = self._ask("docking_node")
         if not values:
-            raise ArmError("docking_node does not report its parameters: check its log and its version")
+            raise arm_client.ArmError("docking_node does not report its parameters: check its log and its version")
         try:
-            return docking_settings(values)
+            return node_parameters.docking_settings(values)
         except (OSError, ValueError, TypeError) as error:
-            raise ArmError(
+            raise arm_client.ArmError(
                 f"docking_node's parameters cannot be used here: {error}; run the command on the charger's computer, "
                 "with its version"
             ) from error
@@ -254,9 +248,9 @@ class RecordingCharger(ArmGuest):
         # Discovery lists a dead program without a name; live ones have names.
         unwanted = others() - {"docking_node", self.node.get_name(), _UNKNOWN}
         if unwanted:
-            raise ArmError(f"another program moves the arm ({', '.join(sorted(unwanted))}): stop it")
+            raise arm_client.ArmError(f"another program moves the arm ({', '.join(sorted(unwanted))}): stop it")
         if self._observe().torque_enabled:
-            raise ArmError(
+            raise arm_client.ArmError(
                 "torque is already on, so another program moves the arm: stop that program, or `deltacharger undock`"
             )
 
@@ -297,7 +291,7 @@ class RecordingCharger(ArmGuest):
     def _carry_out(self, command: Command, observation: Observation) -> None:
         if command.trajectory is not None:
             # Not the instant of sending: planning a line takes milliseconds, and times count from the observation.
-            stamp = before_now(self.node.get_clock(), time.monotonic() - observation.time)
+            stamp = clock.before_now(self.node.get_clock(), time.monotonic() - observation.time)
             self._publisher.publish(io.trajectory(command.trajectory, stamp))
         for request in command.requests:
             self.is_driving = self.is_driving or request.service is Service.TORQUE_ON

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Read the parameters of a charger's nodes by the standard services; derive docking settings and geometry from them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import fields
 from typing import Any
@@ -12,9 +10,7 @@ from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 
 from deltacharger_bringup.records.recording.folder import PARAMETERS
-from deltacharger_core.files import given_path, parse_json
-from deltacharger_core.mcap_file import McapFile, RecordingError
-from deltacharger_core.parameters import from_mapping
+from deltacharger_core import files, mcap_file, parameters
 from deltacharger_core.ros.qos import SERVICE
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry, geometry_to_mapping, load_geometry
@@ -58,7 +54,7 @@ class ParameterReader:
 def with_geometry(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return docking_node's parameters with the content of its geometry file, if that is readable on this computer."""
     try:
-        return {**values, _GEOMETRY: geometry_to_mapping(load_geometry(given_path(values[_FILE])))}
+        return {**values, _GEOMETRY: geometry_to_mapping(load_geometry(files.given_path(values[_FILE])))}
     except (LookupError, OSError, ValueError):
         return dict(values)
 
@@ -71,9 +67,9 @@ def docking_settings(values: Mapping[str, Any]) -> tuple[DockingParameters, Delt
         ValueError: a value is refused.
     """
     if _GEOMETRY in values:
-        geometry = from_mapping(values[_GEOMETRY], DeltaGeometry)
+        geometry = parameters.from_mapping(values[_GEOMETRY], DeltaGeometry)
     else:
-        geometry = load_geometry(given_path(values[_FILE])) if values.get(_FILE) else DeltaGeometry()
+        geometry = load_geometry(files.given_path(values[_FILE])) if values.get(_FILE) else DeltaGeometry()
     names = {item.name for item in fields(DockingParameters)}
     return DockingParameters(**{name: _plain(value) for name, value in values.items() if name in names}), geometry
 
@@ -86,7 +82,7 @@ def known_settings(values: Mapping[str, Any]) -> tuple[DockingParameters, DeltaG
         return docking_settings({**values, _FILE: ""})
 
 
-def recorded_settings(file: McapFile) -> tuple[DockingParameters, DeltaGeometry] | None:
+def recorded_settings(file: mcap_file.McapFile) -> tuple[DockingParameters, DeltaGeometry] | None:
     """Return a record's settings; None if they were not recorded.
 
     Raises:
@@ -94,9 +90,9 @@ def recorded_settings(file: McapFile) -> tuple[DockingParameters, DeltaGeometry]
     """
     values = file.metadata_named(PARAMETERS)
     try:
-        return known_settings({name: parse_json(text) for name, text in values[-1].items()}) if values else None
+        return known_settings({name: files.parse_json(text) for name, text in values[-1].items()}) if values else None
     except (ValueError, TypeError) as error:
-        raise RecordingError(f"{file.path}: invalid parameters of docking_node: {error}") from error
+        raise mcap_file.RecordingError(f"{file.path}: invalid parameters of docking_node: {error}") from error
 
 
 def _plain(value: Any) -> Any:

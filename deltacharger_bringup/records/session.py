@@ -7,8 +7,6 @@ ends, the arm retracts and its torque is switched off. A `Journal` writes F.npz 
 not at all.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
@@ -19,18 +17,12 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_core.arrays import Array
-from deltacharger_core.environment import package_version
-from deltacharger_core.files import atomic_write
-from deltacharger_core.script import NEXT, Script
-from deltacharger_docking.algorithm import locate, prepare
-from deltacharger_docking.codes import DockingError, Rejected, State, Unreachable
+from deltacharger_core import arrays, environment, files, script
+from deltacharger_docking import algorithm, codes, press, release, standoff
 from deltacharger_docking.context import Context
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.press import ALIGN_TIMEOUT, contact
-from deltacharger_docking.release import RETRACT_TIMEOUT, lift_off, retract
-from deltacharger_docking.standoff import approach
+from deltacharger_docking.release import RETRACT_TIMEOUT
 from deltacharger_docking.touch import MEASURE_TIMEOUT
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_tactile.dataset import SUBSET_ANGLE, SUBSET_CONTINUOUS, SUBSET_POSITION, VERSION, Dataset
@@ -109,7 +101,7 @@ class Part:
             offsets = random.uniform(-POSITION_LIMIT, POSITION_LIMIT, (self.repeat, 2))
         return [CommandedPose(float(x), float(y), angle) for x, y in offsets]
 
-    def starts(self) -> Array:
+    def starts(self) -> arrays.Array:
         """Return (repeat, 2) m: the arm's start offset from the target in each docking of the angle set."""
         return np.asarray(_START_STEP * self._random().integers(-_START_STEPS, _START_STEPS + 1, (self.repeat, 2)))
 
@@ -117,7 +109,7 @@ class Part:
         return np.random.default_rng([SETS.index(self.set), self.seed, round(1e3 * self.angle_deg) % 2**32])
 
 
-class NotKept(DockingError):
+class NotKept(codes.DockingError):
     """A docking could not be written. Example: the disk is full."""
 
 
@@ -163,14 +155,14 @@ def check_places(machine: DockingMachine, commands: Sequence[Vector]) -> None:
         Unreachable: names the first such command; nothing was moved.
     """
     if machine.parameters.always_live:
-        raise Rejected(
+        raise codes.Rejected(
             "docking_node has power: none, so every touch of a recording would be live: disconnect the electrodes from "
             "the battery, and start docking_node with power: board for the recording"
         )
     for x, y, z in commands:
         wrong = machine.planner.reach_problem((x, y, _before(machine.parameters, z)), (x, y, z))
         if wrong:
-            raise Unreachable(f"out of the arm's reach, {wrong}: move the target and give its new position")
+            raise codes.Unreachable(f"out of the arm's reach, {wrong}: move the target and give its new position")
 
 
 @dataclass(frozen=True)
@@ -191,50 +183,50 @@ class TouchSession:
     keeper: Keeper
     look: bool = False
 
-    def run(self, context: Context) -> Script[str]:
+    def run(self, context: Context) -> script.Script[str]:
         """Make the dockings of the session.
 
         Raises:
             DockingError: as in a docking.
         """
-        yield from prepare(context)
+        yield from algorithm.prepare(context)
         for number, command in enumerate(self.commands):
             self.keeper.begin(number)
             yield from _go_before(context, command)
             place = command
             if self.look:
-                place = (yield from locate(context)).position
+                place = (yield from algorithm.locate(context)).position
                 yield from _go_before(context, place)
-            yield from approach(context, place)
-            yield from contact(context, place[2] + context.parameters.search_depth)
+            yield from standoff.approach(context, place)
+            yield from press.contact(context, place[2] + context.parameters.search_depth)
             yield from self._record(context, place)
-            context.enter(State.IDLE, math.inf)
+            context.enter(codes.State.IDLE, math.inf)
             while not self.keeper.kept():
-                yield NEXT
-        yield from retract(context, wanted=True)
+                yield script.NEXT
+        yield from release.retract(context, wanted=True)
         return "every docking was recorded"
 
-    def _record(self, context: Context, place: Vector) -> Script[None]:
+    def _record(self, context: Context, place: Vector) -> script.Script[None]:
         """Rest, take frames, release, and wait until all is stored."""
         _parameters, keeper = context.parameters, self.keeper
-        context.enter(State.MEASURE, self.dwell + 2.0 * self.holding + MEASURE_TIMEOUT)
+        context.enter(codes.State.MEASURE, self.dwell + 2.0 * self.holding + MEASURE_TIMEOUT)
         yield from context.wait(self.dwell)
         keeper.start_frames()
         positions = [context.position]
         while not keeper.has_frames():
-            yield NEXT
+            yield script.NEXT
             positions.append(context.position)
         x, y, z = (float(value) for value in np.mean(positions, axis=0))
         touch = Rested((x, y, z), context.contact.value, place)
-        context.enter(State.RETRACT, RETRACT_TIMEOUT)
-        yield from lift_off(context)
+        context.enter(codes.State.RETRACT, RETRACT_TIMEOUT)
+        yield from release.lift_off(context)
         keeper.keep(touch)
 
 
-def _go_before(context: Context, command: Vector) -> Script[None]:
+def _go_before(context: Context, command: Vector) -> script.Script[None]:
     """Move sideways in free air, before the standoff, so that the approach tares in a motion along +z."""
     parameters = context.parameters
-    context.enter(State.ALIGN, ALIGN_TIMEOUT)
+    context.enter(codes.State.ALIGN, press.ALIGN_TIMEOUT)
     x, y, z = command
     yield from context.move((x, y, _before(parameters, z)), parameters.travel_speed, settle=False)
 
@@ -367,7 +359,7 @@ class Journal:
         if self.data is not None:
             rows = {each: np.concatenate([getattr(self.data, each), rows[each]]) for each in _ROWS}
         data = Dataset(**rows, meta=self._meta(parts, settings))
-        with atomic_write(self.out) as path:
+        with files.atomic_write(self.out) as path:
             data.save(path)
         self.data, self.settings, self._parts = data, settings, parts
 
@@ -380,7 +372,7 @@ class Journal:
             **asdict(settings),
             "threshold": THRESHOLD,
             "rigs": [settings.rig],
-            "package": package_version(),
+            "package": environment.package_version(),
             "from": now if self.data is None else self.data.meta["from"],
             "to": now,
             "parts": list(parts.values()),

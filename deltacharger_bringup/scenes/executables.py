@@ -4,8 +4,6 @@
 The imports take a second; without this, Ctrl-C in that second would end in a traceback.
 """
 
-from __future__ import annotations
-
 import importlib
 import sys
 from collections.abc import Callable

@@ -6,8 +6,6 @@ is checked on loading. An unknown key is refused with the nearest known name, a 
 message always names file and key.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -16,10 +14,8 @@ from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
 from deltacharger_bringup.scenes.node_table import NODES, load
-from deltacharger_core import environment
+from deltacharger_core import environment, frames, machine, yaml_file
 from deltacharger_core.files import brief, given_path
-from deltacharger_core.frames import JointFrameParameters
-from deltacharger_core.machine import DOCK_DISTANCE, POSITION_P_GAIN
 from deltacharger_core.parameters import (
     Bounded,
     ParameterError,
@@ -30,7 +26,6 @@ from deltacharger_core.parameters import (
     number,
     words,
 )
-from deltacharger_core.yaml_file import YamlError, read_yaml
 from deltacharger_sim.charger.simulation import Simulation, target_numbers
 from deltacharger_sim.parameters import LITHIUM_7S, WorldParameters
 
@@ -60,8 +55,8 @@ def followed(node: str, world: WorldParameters, parameters: Mapping[str, Mapping
     if node != "servo_node":
         found["gravity"] = [world.gravity_x, world.gravity_y, world.gravity_z]
     if node == "docking_node":
-        gain = parameters.get("servo_node", {}).get("position_p_gain", POSITION_P_GAIN)
-        share = gain / POSITION_P_GAIN if isinstance(gain, int) else 1.0
+        gain = parameters.get("servo_node", {}).get("position_p_gain", machine.POSITION_P_GAIN)
+        share = gain / machine.POSITION_P_GAIN if isinstance(gain, int) else 1.0
         found |= {"servo_stiffness": world.servo.stiffness * share, "power": "none" if world.circuit.wired else "board"}
     measured = _OF_SERVOS if parameters.get(node, {}).get("servos_file") else ()
     return {name: value for name, value in found.items() if name not in measured}
@@ -116,7 +111,9 @@ class SceneGoal(Bounded):
 
     x: float = number(0.0, -0.3, 0.3, "m", "midpoint of the electrodes")
     y: float = number(0.0, -0.3, 0.3, "m", "midpoint of the electrodes, +y up")
-    z: float = number(DOCK_DISTANCE, -0.1, 0.5, "m", "midpoint of the electrodes, +z from the robot to the target")
+    z: float = number(
+        machine.DOCK_DISTANCE, -0.1, 0.5, "m", "midpoint of the electrodes, +z from the robot to the target"
+    )
     roll: float = number(0.0, -1.5708, 1.5708, "rad", "of the electrodes about z, from +x to +y")
 
 
@@ -230,8 +227,8 @@ def read_file(path: Path, parse: Callable[[Any, str, str], T]) -> T:
         SceneError: it cannot be read, is not YAML, or `parse` rejects a key or value.
     """
     try:
-        return parse(read_yaml(path), path.stem, str(path))
-    except YamlError as error:
+        return parse(yaml_file.read_yaml(path), path.stem, str(path))
+    except yaml_file.YamlError as error:
         raise SceneError(error.file, "", error.problem) from error
     except OSError as error:
         raise SceneError(str(path), "", f"cannot be read: {error}") from error
@@ -476,7 +473,7 @@ def _with_model(scene: Scene, file: str) -> Scene:
 def _with_prefixes(scene: Scene, arguments: Overrides) -> Scene:
     """Return the scene with the prefixes of frames and joints in every node that uses them."""
     try:
-        given = JointFrameParameters(arguments.frame_prefix, arguments.joint_prefix)
+        given = frames.JointFrameParameters(arguments.frame_prefix, arguments.joint_prefix)
     except ParameterError as error:
         raise SceneError(scene.file, error.key, error.problem) from error
     for name in scene.nodes:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Action server that accepts every goal, because only a result can carry an error code and a reason."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import threading
@@ -14,9 +12,7 @@ from rclpy.action.server import ActionServer, CancelResponse, GoalResponse, Serv
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 
-from deltacharger_core.ros.log import Log
-from deltacharger_core.ros.messages import to_outcome
-from deltacharger_core.ros.qos import ACTION
+from deltacharger_core.ros import log, messages, qos
 from deltacharger_core.texts import titled
 
 GoalHandle: TypeAlias = "ServerGoalHandle[Any, Any, Any]"  # a string, because Jazzy's class is not generic
@@ -99,7 +95,7 @@ class WorkServer:
         may_cancel: Callable[[GoalHandle], bool] = lambda handle: True,
         accepted: Callable[[GoalHandle], None] = lambda handle: handle.execute(),
     ) -> None:
-        self._name, self._log = name, Log(node)
+        self._name, self._log = name, log.Log(node)
         self._may_cancel = may_cancel
         self._begin, self._is_served = begin, is_served
         self._outcome, self._refusals, self._result = outcome, refusals, result
@@ -113,7 +109,7 @@ class WorkServer:
             cancel_callback=self._on_cancel,
             callback_group=ReentrantCallbackGroup(),
             result_timeout=KEPT,
-            **ACTION,
+            **qos.ACTION,
         )
 
     def destroy(self) -> None:
@@ -156,7 +152,7 @@ class WorkServer:
     def _log_end(self, handle: GoalHandle, result: Any, failed: str = "failed") -> None:
         """Log how a goal ended, a lost charge as a warning; an error in logging must not cost its client the result."""
         try:
-            outcome = to_outcome(self._name, result)
+            outcome = messages.to_outcome(self._name, result)
             line = f"{self._title(handle)}: {outcome.ending(failed)}"
             if failed == "failed":
                 lasted = "" if outcome.success else f" (after {outcome.elapsed:.1f} s)"

@@ -9,8 +9,6 @@ The client has its own small node and executor, so it works in any program::
         print(outcome.success, outcome.error_message)
 """
 
-from __future__ import annotations
-
 import math
 import threading
 import time
@@ -29,11 +27,7 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from deltacharger_core.frames import CHARGER_BASE
-from deltacharger_core.ros.action_caller import LOST, ONE_USER, Echo, SentGoal
-from deltacharger_core.ros.executor import Spinner
-from deltacharger_core.ros.messages import duration, fill_pose, to_outcome, to_progress
-from deltacharger_core.ros.outcomes import DockRequest, Outcome, Pose, Progress
-from deltacharger_core.ros.qos import ACTION, STATE
+from deltacharger_core.ros import action_caller, executor, messages, outcomes, qos
 
 _STATE = "docking_state"
 _LATCHED = 1.0  # s to receive the latched docking_state
@@ -45,7 +39,7 @@ _GUEST_POLL = 0.02  # s between checks of a condition
 _POLL = 0.1  # s between checks of deadline, cancel request and server while a goal runs
 
 Self = TypeVar("Self", bound="Guest")
-ProgressCallback = Callable[[Progress], None]
+ProgressCallback = Callable[[outcomes.Progress], None]
 
 
 class ClientError(RuntimeError):
@@ -75,13 +69,13 @@ class Guest:
             start_parameter_services=False,
             parameter_overrides=[Parameter("start_type_description_service", value=False)],  # not needed
         )
-        self._spinner: Spinner | None = None
+        self._spinner: executor.Spinner | None = None
         self.waitables: list[Any] = []
         self._open = True
 
     def serve(self) -> None:
         """Start to serve the node."""
-        self._spinner = Spinner(self.node)
+        self._spinner = executor.Spinner(self.node)
 
     def wait(
         self,
@@ -138,12 +132,12 @@ class ChargerClient(Guest):
             context = self._owned = Context()
             rclpy.init(context=context, args=[], signal_handler_options=SignalHandlerOptions.NO)
         super().__init__("charger_client", context, namespace)
-        self._dock: ActionClient[Any, Any, Any] = ActionClient(self.node, Dock, "dock", **ACTION)
-        self._undock: ActionClient[Any, Any, Any] = ActionClient(self.node, Undock, "undock", **ACTION)
+        self._dock: ActionClient[Any, Any, Any] = ActionClient(self.node, Dock, "dock", **qos.ACTION)
+        self._undock: ActionClient[Any, Any, Any] = ActionClient(self.node, Undock, "undock", **qos.ACTION)
         self.waitables = [self._dock, self._undock]
-        self._echoes = [Echo(self.node, action) for action in (self._dock, self._undock)]
+        self._echoes = [action_caller.Echo(self.node, action) for action in (self._dock, self._undock)]
         self._charger_base = ""  # full frame name from docking_state
-        self.node.create_subscription(DockingState, _STATE, self._on_state, STATE)
+        self.node.create_subscription(DockingState, _STATE, self._on_state, qos.STATE)
         self.serve()
 
     def close(self) -> None:
@@ -193,16 +187,18 @@ class ChargerClient(Guest):
     def _refuse_silence(self) -> None:
         if max(echo.silence for echo in self._echoes) > _LOST_AFTER:
             domain = self.node.context.get_domain_id()
-            raise ClientError(f"a charger is in ROS domain {domain}, but its answers do not arrive: {ONE_USER}")
+            raise ClientError(
+                f"a charger is in ROS domain {domain}, but its answers do not arrive: {action_caller.ONE_USER}"
+            )
 
     def dock(
         self,
-        request: DockRequest,
+        request: outcomes.DockRequest,
         on_progress: ProgressCallback | None = None,
         cancel: threading.Event | None = None,
         deadline: float = math.inf,
         give_up: threading.Event | None = None,
-    ) -> Outcome:
+    ) -> outcomes.Outcome:
         """Send a Dock goal and wait for its result.
 
         Args:
@@ -217,17 +213,17 @@ class ChargerClient(Guest):
         """
         goal = Dock.Goal()
         if request.electrodes is not None:
-            fill_pose(goal.electrodes, self._named(request.electrodes))
+            messages.fill_pose(goal.electrodes, self._named(request.electrodes))
         goal.critical_angle = float(request.critical_angle)
         goal.start_charging = request.start_charging
         goal.hold = request.hold
         goal.stop_energy = float(request.stop_energy)
-        goal.stop_after = duration(request.stop_after)
+        goal.stop_after = messages.duration(request.stop_after)
         goal.request_id = request.request_id
         goal.target_profile = request.target_profile
         return self._execute("dock", self._dock, goal, on_progress, cancel, deadline, give_up)
 
-    def _named(self, pose: Pose) -> Pose:
+    def _named(self, pose: outcomes.Pose) -> outcomes.Pose:
         """Return a pose with the charger's full name of charger_base, which may have a prefix."""
         if pose.frame_id != CHARGER_BASE:
             return pose
@@ -244,7 +240,7 @@ class ChargerClient(Guest):
         on_progress: ProgressCallback | None = None,
         cancel: threading.Event | None = None,
         deadline: float = math.inf,
-    ) -> Outcome:
+    ) -> outcomes.Outcome:
         """Send an Undock goal and wait for its result; arguments and errors as in `dock`."""
         return self._execute("undock", self._undock, Undock.Goal(request_id=request_id), on_progress, cancel, deadline)
 
@@ -257,16 +253,16 @@ class ChargerClient(Guest):
         cancel: threading.Event | None,
         deadline: float,
         give_up: threading.Event | None = None,
-    ) -> Outcome:
+    ) -> outcomes.Outcome:
         if not self.answers() and not self.wait_until_it_answers(_LOST_AFTER, cancel):
             raise ClientError(f"no charger answers the action '{action}': start one with `deltacharger up`")
         started = time.monotonic()
 
         def on_feedback(message: Any) -> None:
             if on_progress is not None:
-                on_progress(to_progress(message.feedback, time.monotonic() - started))
+                on_progress(messages.to_progress(message.feedback, time.monotonic() - started))
 
-        running = SentGoal(self.node, client, goal, on_feedback)
+        running = action_caller.SentGoal(self.node, client, goal, on_feedback)
         stop = cancel or threading.Event()
         lost_since = canceled_at = math.inf
         while not running.finished.wait(_POLL):
@@ -291,7 +287,7 @@ class ChargerClient(Guest):
                     f"the charger disappeared while it served '{action}': if only the network failed, the goal goes "
                     "on; if docking_node ended, the board opens the contactor by itself: check its log"
                 )
-        if running.end == LOST:
+        if running.end == action_caller.LOST:
             raise ClientError(
                 f"the charger no longer knows the goal '{action}': docking_node has restarted, or the goal ended more "
                 "than an hour ago; docking_state tells whether it charges, which undocking would end"
@@ -300,4 +296,4 @@ class ChargerClient(Guest):
             raise ClientError(f"the charger did not accept the goal '{action}': {running.error}")
         if running.result is None:
             raise ClientError(f"the charger rejected the goal '{action}' without a reason")
-        return to_outcome(action, running.result)
+        return messages.to_outcome(action, running.result)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A node's clock: stamps show the computer's clock or, with `use_sim_time`, /clock; all timing is monotonic."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

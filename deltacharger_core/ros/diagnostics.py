@@ -6,8 +6,6 @@ duplicate. A killed node stays in the graph until its middleware's lease ends: 5
 default.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
@@ -15,8 +13,7 @@ from collections.abc import Collection, Mapping, Sequence
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
-from deltacharger_core.streams import plain
-from deltacharger_core.texts import UNKNOWN
+from deltacharger_core import streams, texts
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
@@ -67,7 +64,7 @@ class Diagnostics:
 
 def _as_text(value: object) -> str:
     unknown = value is None or (isinstance(value, float) and math.isnan(value))
-    return UNKNOWN if unknown else str(value)
+    return texts.UNKNOWN if unknown else str(value)
 
 
 _NAMES = 4  # nodes named per topic or service; further ones are counted
@@ -129,4 +126,4 @@ def publishers(node: Node, topic: str, ids: Collection[bytes] = (b"",), no_mangl
 
 def _name(source: object) -> str:
     namespace, name = getattr(source, "node_namespace", ""), getattr(source, "node_name", _NAMELESS)
-    return "a node without a name" if name == _NAMELESS else plain(f"{namespace.rstrip('/')}/{name}")[:_LENGTH]
+    return "a node without a name" if name == _NAMELESS else streams.plain(f"{namespace.rstrip('/')}/{name}")[:_LENGTH]

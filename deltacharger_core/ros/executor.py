@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Executor of a node: one thread for messages and timers, and workers for callbacks that may wait."""
 
-from __future__ import annotations
-
 import atexit
 import contextlib
 import functools
@@ -10,8 +8,7 @@ import os
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future as Job
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import Future as Job, ThreadPoolExecutor, wait
 from typing import Any, TextIO
 
 from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
@@ -20,14 +17,13 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.task import Future, Task
 
-from deltacharger_core.environment import refuse_ros
-from deltacharger_core.real_time import HOST
+from deltacharger_core import environment, real_time
 from deltacharger_core.ros.clock import ANOTHER_CLOCK
 
 try:
     from rclpy.experimental.events_executor import EventsExecutor
 except ModuleNotFoundError as missing:
-    refuse_ros(missing)
+    environment.refuse_ros(missing)
 
 _TURN = 3600.0  # s; without a timeout, `spin` of the PyPI wheels uses a full core and blocks publishers
 _WORKERS = 4  # callbacks of one group at once
@@ -52,7 +48,7 @@ def order_age() -> float:
     sender's computer, whatever /clock shows.
     """
     sent = getattr(_served, "sent", 0)
-    old = HOST.age(1e-9 * sent)
+    old = real_time.HOST.age(1e-9 * sent)
     return old if sent and 0.0 < old < ANOTHER_CLOCK else 0.0
 
 

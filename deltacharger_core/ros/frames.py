@@ -9,8 +9,6 @@ Python, hundreds a second, for a goal an hour. Here messages wait in the readers
 buffer when a transform is requested (docs/benchmarks.md).
 """
 
-from __future__ import annotations
-
 import difflib
 import importlib.util
 import math
@@ -25,9 +23,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.time import Time
 
 from deltacharger_core.frames import CHARGER_BASE, IDENTITY, LONGEST, Pose, TransformParameters, apart, composed
-from deltacharger_core.ros.log import Log
-from deltacharger_core.ros.on_demand import PolledTopic
-from deltacharger_core.ros.parameters import was_given
+from deltacharger_core.ros import log, on_demand, parameters
 from deltacharger_core.texts import far
 
 SAME = (0.002, math.radians(0.5))  # m and rad, tolerance for one mount: rounding in a URDF, measuring by ruler
@@ -69,8 +65,8 @@ class TfTree:
         self._node = node
         self._given = given
         latched = QoSProfile(depth=_DEPTH, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._moving = PolledTopic(node, TFMessage, TF, QoSProfile(depth=_DEPTH))
-        self._fixed = PolledTopic(node, TFMessage, TF_STATIC, latched)
+        self._moving = on_demand.PolledTopic(node, TFMessage, TF, QoSProfile(depth=_DEPTH))
+        self._fixed = on_demand.PolledTopic(node, TFMessage, TF_STATIC, latched)
         self._lock = threading.Lock()
         self._waits = threading.Lock()  # one waiter at a time: goals in unknown frames must not occupy all workers
         self._buffer: Any = None  # created when first needed: its import takes more memory than the readers
@@ -250,11 +246,11 @@ class Frames:
 
     def __init__(self, node: Node, given: TransformParameters, base_frame: str, base_pose: Sequence[float]) -> None:
         self.charger_base = given.named(CHARGER_BASE)
-        self._log = Log(node)
+        self._log = log.Log(node)
         self._base_frame = base_frame
         x, y, z, *turn = base_pose
         self._base_pose: Pose = x, y, z, turn[0], turn[1], turn[2], turn[3]
-        self._is_given = was_given(node, "base_pose")
+        self._is_given = parameters.was_given(node, "base_pose")
         self._tf = TfTree(node, given) if installed() else None
         self._logged = False  # that base_pose is used although tf is available
 

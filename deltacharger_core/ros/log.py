@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Non-blocking log of a node, safe for texts received from others."""
 
-from __future__ import annotations
-
 import select
 import threading
 import time

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Conversions between ROS messages and plain values: durations, goals, feedback, results; unknown is NaN, never 0."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

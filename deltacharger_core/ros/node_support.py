@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Main function of every node; it always ends safely."""
 
-from __future__ import annotations
-
 import sys
 import threading
 from collections.abc import Callable, Sequence
@@ -14,8 +12,7 @@ from rclpy.utilities import try_shutdown
 
 from deltacharger_core import environment, signals, streams
 from deltacharger_core.real_time import exit_within, take_priority
-from deltacharger_core.ros.executor import Spinner
-from deltacharger_core.ros.log import Log
+from deltacharger_core.ros import executor, log
 
 _LEAVING = 5.0  # s for a node to leave the network: Jazzy's Fast DDS may deadlock
 
@@ -77,8 +74,8 @@ def _run(factory: Callable[[], Node], args: Sequence[str] | None, stop: threadin
             streams.write(streams.shortened(problem), sys.stderr)
             return 0 if stop.is_set() else 2
         if slow:
-            Log(node).info(slow)
-        spinner = Spinner(node)
+            log.Log(node).info(slow)
+        spinner = executor.Spinner(node)
         try:
             while not stop.wait(0.5) and spinner.is_alive():
                 pass

@@ -13,8 +13,6 @@ ordinary subscription the node's thread would read an endless message, end with 
 not know who sent it (`EventsExecutor` has no message info).
 """
 
-from __future__ import annotations
-
 import contextlib
 import struct
 import threading

@@ -1,14 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Requests to the charger and their progress and results, as plain data without ROS types."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from deltacharger_core.frames import CHARGER_BASE
-from deltacharger_core.texts import figure
+from deltacharger_core import frames, texts
 
 
 def place(x: float, y: float, z: float, roll: float) -> str:
@@ -27,7 +24,7 @@ class Pose:
     y: float
     z: float
     roll: float = 0.0
-    frame_id: str = CHARGER_BASE
+    frame_id: str = frames.CHARGER_BASE
 
 
 @dataclass(frozen=True)
@@ -131,17 +128,19 @@ class Outcome:
         if not details:
             return ""
         rest = details["misalignment"]
-        x, y = (figure(1e3 * rest[axis], "", 1) for axis in ("horizontal", "vertical"))
-        angle = figure(math.degrees(rest["angle"]), "", 1)
-        least, most = (figure(details.get(f"contact_force_{end}", math.nan), "", 0) for end in ("min", "max"))
+        x, y = (texts.figure(1e3 * rest[axis], "", 1) for axis in ("horizontal", "vertical"))
+        angle = texts.figure(math.degrees(rest["angle"]), "", 1)
+        least, most = (texts.figure(details.get(f"contact_force_{end}", math.nan), "", 0) for end in ("min", "max"))
         span = "" if "–" in (least, most) else f" ({least} to {most})"
         end, volts = details.get("charge_end", ""), details.get("charge_voltage", math.nan)
         end = f", {end}" if end else ""
         end += f" at {volts:.1f} V" if math.isfinite(volts) else ""
         counts = ", ".join(f"{name} {details[name]}" for name in ("alignments", "redockings") if name in details)
         return (
-            f"charge {figure(details['charge_current'], 'A', 2)}, {figure(details['energy'], 'J', 0)}{end}; "
-            f"contact {figure(details['contact_current'], 'A', 3)}, {figure(details['contact_force'], 'N', 1)}{span}; "
+            f"charge {texts.figure(details['charge_current'], 'A', 2)}, "
+            f"{texts.figure(details['energy'], 'J', 0)}{end}; "
+            f"contact {texts.figure(details['contact_current'], 'A', 3)}, "
+            f"{texts.figure(details['contact_force'], 'N', 1)}{span}; "
             f"{counts}; rest ({x}, {y}) mm, {angle}°"
         )
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of a node: declared, set by a file of measured servos, changed while it runs, and work at such a rate."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import sys
@@ -19,12 +17,9 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from deltacharger_core.files import given_path
+from deltacharger_core import files, servo_types, yaml_file
 from deltacharger_core.parameters import Declaration, ParameterError, declared, did_you_mean
-from deltacharger_core.ros.log import Log
-from deltacharger_core.ros.node_support import StartupError
-from deltacharger_core.servo_types import MeasuredServos, ServosFileParameters
-from deltacharger_core.yaml_file import read_declared, read_yaml
+from deltacharger_core.ros import log, node_support
 
 T = TypeVar("T")
 
@@ -71,18 +66,20 @@ def declare_with_servos(node: Node, defaults: T, follows: Mapping[str, str]) -> 
     Raises:
         StartupError: the file is missing or invalid, a value is out of range, or a given parameter differs.
     """
-    servos = declare_file(node, ServosFileParameters, lambda path: read_declared(path, MeasuredServos))
+    servos = declare_file(
+        node, servo_types.ServosFileParameters, lambda path: yaml_file.read_declared(path, servo_types.MeasuredServos)
+    )
     if servos is None:
         return declare_all(node, type(defaults), defaults)
     file = node.get_parameter("servos_file").value
     measured = {name: getattr(servos, key) for name, key in follows.items()}
     try:
         given = declare_all(node, type(defaults), replace(defaults, **measured))  # type: ignore[type-var]
-    except (StartupError, ValueError) as error:
-        raise StartupError(f"{error} (servos_file '{file}')") from error
+    except (node_support.StartupError, ValueError) as error:
+        raise node_support.StartupError(f"{error} (servos_file '{file}')") from error
     for name, value in measured.items():
         if getattr(given, name) != value:
-            raise StartupError(
+            raise node_support.StartupError(
                 f"{node.get_name()}: parameter '{name}' is {getattr(given, name)!r}, but parameter 'servos_file' "
                 f"('{file}') has {value!r}; remove '{name}', or measure the servos again"
             )
@@ -98,7 +95,7 @@ def declare_file(node: Node, table: type[Any], read: Callable[[Path], T]) -> T |
     ((name, file),) = asdict(declare_all(node, table)).items()
     if not file:
         return None
-    where = given_path(file).absolute()
+    where = files.given_path(file).absolute()
     try:
         return read(where)
     except OSError as error:
@@ -133,10 +130,12 @@ def reject_unknown(node: Node) -> None:
     unknown = given - known
     ignored = unknown & _of_all_nodes() if unknown else set()
     for name in sorted(unknown - ignored):
-        raise StartupError(f"{node.get_name()}: unknown parameter '{name}'{did_you_mean(name, sorted(known))}")
+        raise node_support.StartupError(
+            f"{node.get_name()}: unknown parameter '{name}'{did_you_mean(name, sorted(known))}"
+        )
     if ignored:
         names = ", ".join(sorted(ignored))
-        Log(node).warning(f"unknown parameters of a section for all nodes are ignored: {names}")
+        log.Log(node).warning(f"unknown parameters of a section for all nodes are ignored: {names}")
 
     this = weakref.ref(node)  # weak: a node that fails to start must be freed
 
@@ -160,7 +159,7 @@ def _of_all_nodes() -> set[str]:
     for option, file in pairwise(sys.argv):
         if option == "--params-file" and not Path(file).name.startswith("launch_params_"):
             with contextlib.suppress(OSError, ValueError):  # ROS has read it; this reader is stricter
-                sections = read_yaml(file) or {}
+                sections = yaml_file.read_yaml(file) or {}
                 names |= {name for each in ("/**", "*") for name in _flat(sections.get(each))}
     return {name.removeprefix("ros__parameters.") for name in names}
 
@@ -215,8 +214,8 @@ def _descriptor(each: Declaration, description: str) -> ParameterDescriptor:
     return descriptor
 
 
-def _refusal(node: Node, name: str, problem: str) -> StartupError:
-    return StartupError(f"{node.get_name()}: parameter '{name}': {problem}")
+def _refusal(node: Node, name: str, problem: str) -> node_support.StartupError:
+    return node_support.StartupError(f"{node.get_name()}: parameter '{name}': {problem}")
 
 
 _LAST = 2.0  # s for running work to end when its node closes
@@ -236,7 +235,7 @@ class Tuning(Generic[T]):
     """
 
     def __init__(self, node: Node, given: T, take: Callable[[T], str]) -> None:
-        self._log = Log(node)
+        self._log = log.Log(node)
         self._given = given
         self._take = take
         self._lock = threading.Lock()

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Quality of service of the package's topics and services."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from rclpy.qos import (

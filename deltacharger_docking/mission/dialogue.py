@@ -1,14 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Inputs and outputs of the mission's state machine in each tick."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 
-from deltacharger_docking.codes import Code, State
+from deltacharger_docking import codes, observation
 from deltacharger_docking.mission.places import Place
-from deltacharger_docking.observation import BasePose, ElectrodePose, GoalOutcome
 
 
 class Stage(IntEnum):
@@ -85,31 +82,31 @@ class TaskReply:
 
     number: int
     end: End
-    code: Code = Code.NONE
+    code: codes.Code = codes.Code.NONE
     message: str = ""
     retriable: bool = False
     place: Place | None = None
-    electrodes: ElectrodePose | None = None
-    suggested: BasePose | None = None
+    electrodes: observation.ElectrodePose | None = None
+    suggested: observation.BasePose | None = None
 
 
 @dataclass(frozen=True)
 class DockingReport:
     """State of docking_node, from docking_state."""
 
-    state: State = State.IDLE
+    state: codes.State = codes.State.IDLE
     docked: bool = False
     charging: bool = False
 
     @property
     def free(self) -> bool:
         """Whether nothing connects the robot to a target, so that its base may move."""
-        return self.state is State.IDLE and not self.docked and not self.charging
+        return self.state is codes.State.IDLE and not self.docked and not self.charging
 
     @property
     def rests(self) -> bool:
         """Whether the electrodes rest on the target and docking does not report charging."""
-        return self.state is State.IDLE and self.docked and not self.charging
+        return self.state is codes.State.IDLE and self.docked and not self.charging
 
 
 @dataclass(frozen=True)
@@ -131,7 +128,7 @@ class MissionCommand:
 
 
 @dataclass(frozen=True)
-class MissionOutcome(GoalOutcome):
+class MissionOutcome(observation.GoalOutcome):
     """Result of a mission; `returned`: the robot is at home and free of the target."""
 
     returned: bool = False
@@ -146,6 +143,6 @@ class MissionStatus:
     elapsed: float = 0.0
     views: int = 0
     moves: int = 0
-    code: Code = Code.NONE
+    code: codes.Code = codes.Code.NONE
     message: str = ""
     place: Place | None = None

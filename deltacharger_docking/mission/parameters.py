@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every parameter of missions, with its bounds. mission_node declares its ROS parameters from this table."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

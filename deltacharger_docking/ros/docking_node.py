@@ -7,8 +7,6 @@ predict_misalignment and detect_electrodes. Publishes joint_trajectory, docking_
 lease. If that thread hangs, the lease lapses.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import secrets
@@ -22,26 +20,14 @@ from deltacharger.action import Dock, Undock
 from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory
 
-from deltacharger_core.environment import package_version
+from deltacharger_core import environment, texts
 from deltacharger_core.frames import TransformParameters
-from deltacharger_core.ros import node_support, qos
-from deltacharger_core.ros.action_server import GoalHandle, Work, WorkServer
-from deltacharger_core.ros.clock import NO_TIME_YET, ClockWatch, before_now
+from deltacharger_core.ros import action_server, clock, log, messages, node_support, outcomes, parameters, qos
 from deltacharger_core.ros.frames import Frames, TransformError
-from deltacharger_core.ros.log import Log
-from deltacharger_core.ros.messages import duration, seconds, to_result
-from deltacharger_core.ros.outcomes import place
-from deltacharger_core.ros.parameters import Tuning, declare_all, declare_file, declare_with_servos, reject_unknown
-from deltacharger_core.texts import titled
-from deltacharger_docking.codes import Busy, Canceled, Code, DockingError, NoTime, State
-from deltacharger_docking.goals import suggested_base
-from deltacharger_docking.machine import DockingMachine
+from deltacharger_docking import codes, goals, machine
 from deltacharger_docking.observation import Command, DockGoal, DockingOutcome, Observation, Request, Service
 from deltacharger_docking.parameters import DockingNodeParameters, DockingParameters, ProfileNames, TargetProfile
-from deltacharger_docking.ros import messages as io
-from deltacharger_docking.ros.inputs import Inputs
-from deltacharger_docking.ros.reports import Reports
-from deltacharger_docking.ros.services import Services
+from deltacharger_docking.ros import inputs, messages as io, reports, services
 from deltacharger_kinematics.geometry import DeltaGeometry, load_geometry
 from deltacharger_kinematics.parameters import GeometryFileParameters
 
@@ -56,10 +42,10 @@ _ANSWER = 1.0  # s to see a goal's callback end when the node closes
 _FEEDBACK = 0.2  # s between feedbacks without a change
 
 
-class ServedGoal(Work):
+class ServedGoal(action_server.Work):
     """A goal being served, of an action."""
 
-    def __init__(self, handle: GoalHandle, action: Any) -> None:
+    def __init__(self, handle: action_server.GoalHandle, action: Any) -> None:
         super().__init__(handle)
         self.action = action
 
@@ -77,29 +63,32 @@ class DockingNode(Node):
     def __init__(self, held: bool = False, **kwargs: Any) -> None:
         self._closed = True  # nothing to make safe before the node is complete and released
         super().__init__("docking_node", **kwargs)
-        robot, transforms = declare_all(self, DockingNodeParameters), declare_all(self, TransformParameters)
+        robot, transforms = (
+            parameters.declare_all(self, DockingNodeParameters),
+            parameters.declare_all(self, TransformParameters),
+        )
         defaults = DockingParameters.of(robot.servo)
-        self._settings = declare_with_servos(self, defaults, _SERVOS_FOLLOW)
-        geometry = declare_file(self, GeometryFileParameters, load_geometry) or DeltaGeometry()
-        names = declare_all(self, ProfileNames).target_profiles
-        profiles = {name: declare_all(self, TargetProfile, prefix=f"{name}.") for name in names}
-        reject_unknown(self)
+        self._settings = parameters.declare_with_servos(self, defaults, _SERVOS_FOLLOW)
+        geometry = parameters.declare_file(self, GeometryFileParameters, load_geometry) or DeltaGeometry()
+        names = parameters.declare_all(self, ProfileNames).target_profiles
+        profiles = {name: parameters.declare_all(self, TargetProfile, prefix=f"{name}.") for name in names}
+        parameters.reject_unknown(self)
         self._frames = frames = Frames(self, transforms, robot.base_frame, robot.base_pose)
         self._targets = ", ".join(profiles) or "none, so it charges nothing (docs/targets.md)"
-        self._machine = DockingMachine(self._settings, geometry, profiles=profiles)
+        self._machine = machine.DockingMachine(self._settings, geometry, profiles=profiles)
         self._lock = threading.RLock()
-        self._log = Log(self)
-        self._clock_watch = ClockWatch(self.get_clock())
+        self._log = log.Log(self)
+        self._clock_watch = clock.ClockWatch(self.get_clock())
         self._stopping = threading.Event()
         self._torque_off_at = math.inf
         self._goal: ServedGoal | None = None
-        self._ended: GoalHandle | None = None  # of the goal that ended last
-        self._waiting: list[GoalHandle] | None = []  # goals that arrived before `release`
-        self._inputs = Inputs(self, self._log)
-        self._calls = Services(self, transforms)
+        self._ended: action_server.GoalHandle | None = None  # of the goal that ended last
+        self._waiting: list[action_server.GoalHandle] | None = []  # goals that arrived before `release`
+        self._inputs = inputs.Inputs(self, self._log)
+        self._calls = services.Services(self, transforms)
         self._secret = secrets.token_hex(16)  # shows servo_node that this process sends the trajectories
         self._trajectory = self.create_publisher(JointTrajectory, "joint_trajectory", qos.LATEST)
-        self._reports = Reports(self, self._log, self._settings.age_max, frames.charger_base)
+        self._reports = reports.Reports(self, self._log, self._settings.age_max, frames.charger_base)
         self._servers = [
             self._serve(Dock, "dock", self._dock_goal, self._machine.start_dock, self._dock_result),
             self._serve(
@@ -107,10 +96,10 @@ class DockingNode(Node):
                 "undock",
                 lambda request: str(request.request_id),
                 self._machine.start_undock,
-                lambda outcome: to_result(Undock, outcome),
+                lambda outcome: messages.to_result(Undock, outcome),
             ),
         ]
-        Tuning(self, self._settings, self._tune)
+        parameters.Tuning(self, self._settings, self._tune)
         self._thread = threading.Thread(target=self._loop, name="docking loop", daemon=True)
         if not held:
             self.release()
@@ -125,7 +114,7 @@ class DockingNode(Node):
         self._closed = False
         live = "power none: electrodes are live whenever they touch"
         power = live if self._settings.always_live else f"profiles of targets: {self._targets}"
-        self._log.info(f"takes goals, {power}, version {package_version()}")
+        self._log.info(f"takes goals, {power}, version {environment.package_version()}")
         self._thread.start()
         with self._lock:
             waiting, self._waiting = self._waiting, None
@@ -143,7 +132,7 @@ class DockingNode(Node):
         self._frames.close()
         self._stopping.set()
         self._thread.join(2.0)
-        why = Canceled(_SHUTTING_DOWN)
+        why = codes.Canceled(_SHUTTING_DOWN)
         with self._lock:
             command = self._machine.emergency(why)
             self._carry_out(command, self._observe())
@@ -219,7 +208,7 @@ class DockingNode(Node):
 
     def _pace(self) -> None:
         """Wait for the next servo_state; in IDLE only for the tick."""
-        if self._machine.status.state is State.IDLE:
+        if self._machine.status.state is codes.State.IDLE:
             self._inputs.rest()
             self._stopping.wait(_TICK)
         else:
@@ -249,13 +238,13 @@ class DockingNode(Node):
             self._calls.forget()
             words = f"internal error: {error}; see the log"
             lasted = self._machine.status.elapsed
-            self._end(DockingOutcome(code=Code.INTERNAL, message=words, elapsed=lasted, energy=math.nan))
+            self._end(DockingOutcome(code=codes.Code.INTERNAL, message=words, elapsed=lasted, energy=math.nan))
 
     def _carry_out(self, command: Command, observation: Observation) -> None:
         self._calls.contactor(command.energise, observation.contactor_closed, command.limits)
         if command.trajectory is not None:
             # Stamped with the observation: planning a line takes milliseconds, and times count from the observation.
-            stamp = before_now(self.get_clock(), time.monotonic() - observation.time)
+            stamp = clock.before_now(self.get_clock(), time.monotonic() - observation.time)
             self._trajectory.publish(io.trajectory(command.trajectory, stamp, self._secret))
         for request in command.requests:
             self._calls.call(request)
@@ -286,23 +275,23 @@ class DockingNode(Node):
         read: Callable[[Any], Any],
         start: Callable[[Any, Observation], None],
         result: Callable[[DockingOutcome], Any],
-    ) -> WorkServer:
+    ) -> action_server.WorkServer:
         """Serve an action: `read` turns a request into what the machine's `start` takes."""
-        return WorkServer(
+        return action_server.WorkServer(
             self,
             action,
             name,
             lambda handle: self._begin(ServedGoal(handle, action), name, read, start),
             lambda goal: goal is self._goal,
-            lambda error: replace(DockingOutcome.refused(error), suggested_base=suggested_base(error)),
-            DockingError,
+            lambda error: replace(DockingOutcome.refused(error), suggested_base=goals.suggested_base(error)),
+            codes.DockingError,
             lambda outcome, goal: result(outcome),
             # An accepted cancel means that the arm will retract, so an ended goal accepts none.
             lambda handle: bool(handle.is_active) and handle is not self._ended,
             self._on_accepted,
         )
 
-    def _on_accepted(self, handle: GoalHandle) -> None:
+    def _on_accepted(self, handle: action_server.GoalHandle) -> None:
         with self._lock:
             if self._waiting is not None:
                 self._waiting.append(handle)
@@ -320,7 +309,7 @@ class DockingNode(Node):
         request = goal.handle.request
         with self._lock:
             if self._clock_watch.has_no_time and not self._machine.status.docked:  # a docked charger can always undock
-                raise NoTime(NO_TIME_YET)
+                raise codes.NoTime(clock.NO_TIME_YET)
         order = read(request)
         with self._lock:
             self._check_open()
@@ -329,10 +318,10 @@ class DockingNode(Node):
                 start(order, seen)
                 self._goal = goal
                 self._torque_off_at = math.inf
-                self._reports.phases.begin(titled(name, request.request_id), _as_text(order))
+                self._reports.phases.begin(texts.titled(name, request.request_id), _as_text(order))
                 self._reports.show(self._machine.status)
                 self._hand_over()
-            except DockingError:
+            except codes.DockingError:
                 raise
             except Exception as error:  # the machine may have begun; without this, nothing would end its goal
                 self._defect(error)
@@ -342,7 +331,7 @@ class DockingNode(Node):
     def _check_open(self) -> None:
         """Refuse goals while the node closes, with `Busy`."""
         if self._closed and self._waiting is None:
-            raise Busy(f"{_SHUTTING_DOWN}; send the goal again when it is back")
+            raise codes.Busy(f"{_SHUTTING_DOWN}; send the goal again when it is back")
 
     def _end(self, outcome: DockingOutcome) -> None:
         """End the goal being served with this outcome."""
@@ -361,7 +350,7 @@ class DockingNode(Node):
         if goal.action is Dock:
             message.alignments, message.contact_current = status.alignments, status.contact_current
             message.misalignment = self._calls.misalignment(status.estimate)
-            message.elapsed, message.waiting_for = duration(status.elapsed), status.waiting_for
+            message.elapsed, message.waiting_for = messages.duration(status.elapsed), status.waiting_for
         else:
             message.charge_current = charge_current
         goal.feed_back(message)
@@ -372,7 +361,7 @@ class DockingNode(Node):
         What can never be served is refused first, so that nobody sends it again after a goal that is served now.
         """
         given = {name: getattr(request, name) for name in io.GIVEN}
-        goal = DockGoal(None, stop_after=seconds(request.stop_after), **given)
+        goal = DockGoal(None, stop_after=messages.seconds(request.stop_after), **given)
         io.check_numbers(request.electrodes)
         frame = request.electrodes.header.frame_id
         with self._lock:
@@ -387,7 +376,7 @@ class DockingNode(Node):
         return replace(goal, electrodes=io.electrodes(request.electrodes, charger))
 
     def _dock_result(self, outcome: DockingOutcome) -> Dock.Result:
-        return to_result(
+        return messages.to_result(
             Dock,
             outcome,
             misalignment=self._calls.misalignment(outcome.estimate),
@@ -404,7 +393,7 @@ def _as_text(goal: DockGoal | str) -> str:
         return ""
     at = "electrodes located by the camera"
     if goal.electrodes is not None:
-        at = f"electrodes at {place(*goal.electrodes.position, goal.electrodes.roll)}"
+        at = f"electrodes at {outcomes.place(*goal.electrodes.position, goal.electrodes.roll)}"
     stops = [f"{goal.stop_energy:g} J" if goal.stop_energy else "", f"{goal.stop_after:g} s" if goal.stop_after else ""]
     until = " or ".join(filter(None, stops))
     charge = "charges" if goal.start_charging else "does not charge"

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Inputs of docking: the latest message of each topic as one observation; refusals. Part of docking_node."""
 
-from __future__ import annotations
-
 import math
 import threading
 import time
@@ -17,14 +15,10 @@ from rclpy.clock import Clock
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, JOINTS, PADS, ROWS, in_words
-from deltacharger_core.real_time import AHEAD, COMPARE_CLOCKS, HOST, HostClock
+from deltacharger_core import machine, real_time, texts
+from deltacharger_core.ros import diagnostics, messages, on_demand
 from deltacharger_core.ros.clock import ANOTHER_CLOCK, ClockWatch, age
-from deltacharger_core.ros.diagnostics import Duplicates
 from deltacharger_core.ros.log import Log
-from deltacharger_core.ros.messages import seconds
-from deltacharger_core.ros.on_demand import LatestMessage, PolledTopic
-from deltacharger_core.texts import outside
 from deltacharger_docking.observation import Observation, Reply
 
 _LOOK = 0.1  # s between checks for second sources; each takes 0.1 ms
@@ -55,14 +49,14 @@ class Heard:
         last_refusal: why the last one was refused.
     """
 
-    def __init__(self, clock: Clock, host: HostClock = HOST) -> None:
+    def __init__(self, clock: Clock, host: real_time.HostClock = real_time.HOST) -> None:
         self.refused, self.last_refusal = 0, ""
         self._clock, self._host = clock, host
         self._watch = ClockWatch(clock, host)
         self._frame_check = FrameCheck()
         self._latest: dict[type[Any], Any] = {}  # the latest message of each type
         self._latest_sampled: dict[type[Any], tuple[float, float]] = {}  # its stamp, and the monotonic time, s
-        self._taxels = np.zeros((PADS, ROWS, COLUMNS))  # N, of the latest frame
+        self._taxels = np.zeros((machine.PADS, machine.ROWS, machine.COLUMNS))  # N, of the latest frame
         self._misdated: dict[type[Any], str] = {}  # why a clock is wrong, by the stamp of the last message
         self._measured = dict.fromkeys((ServoState, TactileFrame, ChargerPower), -math.inf)  # and its time, s
 
@@ -79,11 +73,13 @@ class Heard:
         try:
             if message.header.stamp.sec < 0 or message.header.stamp.nanosec >= 1_000_000_000:
                 raise MessageRefused(f"its stamp is invalid: {message.header.stamp}")
-            stamp = seconds(message.header.stamp)
+            stamp = messages.seconds(message.header.stamp)
             old = self._age(kind, stamp)
             before, sampled = self._latest_sampled.get(kind, (-math.inf, -math.inf))
             if stamp < before and instant - old < sampled:
-                self._misdated[kind] = f"its stamp is {before - stamp:.3f} s older than one before; {COMPARE_CLOCKS}"
+                self._misdated[kind] = (
+                    f"its stamp is {before - stamp:.3f} s older than one before; {real_time.COMPARE_CLOCKS}"
+                )
                 raise MessageRefused(self._misdated[kind])
             if kind in _CHECKS:  # charger_power is checked where its values are used
                 _CHECKS[kind](message)
@@ -92,7 +88,9 @@ class Heard:
             return
         if kind is TactileFrame:
             self._frame_check.add(message.sequence, instant - old)
-            self._taxels = np.array((message.left, message.right), np.float64).reshape(-1, ROWS, COLUMNS)
+            self._taxels = np.array((message.left, message.right), np.float64).reshape(
+                -1, machine.ROWS, machine.COLUMNS
+            )
         if kind is not ServoState or all(message.valid):
             self._measured[kind] = instant - max(old, 0.0)
         self._latest[kind], self._latest_sampled[kind] = message, (stamp, instant - old)
@@ -117,11 +115,11 @@ class Heard:
                 hardware_error=int(np.bitwise_or.reduce(np.array(servo.hardware_error, dtype=np.uint8))),
                 torque_enabled=all(servo.torque_enabled),
                 thermal_reserve=float(np.min(servo.thermal_reserve)),  # NaN if one is unknown
-                stopped=in_words(servo.stray),
+                stopped=machine.in_words(servo.stray),
             )
         if tactile is not None:
             values.update(
-                tactile_contact=bool(np.fmax.reduce(self._taxels, axis=None) >= CONTACT_FORCE),
+                tactile_contact=bool(np.fmax.reduce(self._taxels, axis=None) >= machine.CONTACT_FORCE),
                 tared=tactile.tared,
                 taxels=self._taxels if tactile.tared else None,
             )
@@ -146,8 +144,10 @@ class Heard:
         self._misdated[kind] = ""
         if abs(old) > ANOTHER_CLOCK:
             self._misdated[kind] = "it is stamped by another clock: set use_sim_time for all nodes or for none"
-        elif -old > AHEAD:
-            self._misdated[kind] = f"its stamp is {-old:.3f} s ahead of this computer's clock; {COMPARE_CLOCKS}"
+        elif -old > real_time.AHEAD:
+            self._misdated[kind] = (
+                f"its stamp is {-old:.3f} s ahead of this computer's clock; {real_time.COMPARE_CLOCKS}"
+            )
         if self._misdated[kind]:
             raise MessageRefused(self._misdated[kind])
         return old
@@ -171,12 +171,12 @@ class Inputs:
         self._log = log
         self._lock = threading.Lock()
         self.heard = Heard(node.get_clock())
-        self._servo = LatestMessage(node, ServoState, "servo_state", QoSProfile(depth=1))
-        self._power = LatestMessage(node, ChargerPower, "charger_power", QoSProfile(depth=1))
+        self._servo = on_demand.LatestMessage(node, ServoState, "servo_state", QoSProfile(depth=1))
+        self._power = on_demand.LatestMessage(node, ChargerPower, "charger_power", QoSProfile(depth=1))
         sampled = QoSProfile(depth=_BACKLOG, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._frames = PolledTopic(node, TactileFrame, "tactile_frame", sampled)
-        self._duplicates = Duplicates(node, SOURCES, (*SERVERS, *_GOALS))
-        self._double, self._looked, self._steps = "", -math.inf, HOST.steps
+        self._frames = on_demand.PolledTopic(node, TactileFrame, "tactile_frame", sampled)
+        self._duplicates = diagnostics.Duplicates(node, SOURCES, (*SERVERS, *_GOALS))
+        self._double, self._looked, self._steps = "", -math.inf, real_time.HOST.steps
 
     def wait(self, timeout: float) -> None:
         """Wait for the next servo_state, at most `timeout` s; only for the thread that steps."""
@@ -195,9 +195,9 @@ class Inputs:
         self._looked, self._double = now, self._duplicates.look()
         if self._double and self._double != before:
             self._log.warning(f"second source, so the contactor will not be closed: {self._double}")
-        if HOST.steps != self._steps:
-            self._steps = HOST.steps
-            self._log.warning(HOST.problem())
+        if real_time.HOST.steps != self._steps:
+            self._steps = real_time.HOST.steps
+            self._log.warning(real_time.HOST.problem())
 
     def observation(self, replies: tuple[Reply, ...] = (), contactor_refusal: str = "") -> Observation:
         """Return the present observation; callable from any thread. Estimates of unconfirmed frames are refused."""
@@ -216,19 +216,19 @@ class Inputs:
 
 def _three_servos(message: ServoState) -> None:
     """Refuse a message whose data are missing, foreign or impossible."""
-    if any(len(getattr(message, name)) != len(JOINTS) for name in _PER_SERVO):
+    if any(len(getattr(message, name)) != len(machine.JOINTS) for name in _PER_SERVO):
         raise MessageRefused("its arrays do not describe three servos")
-    if list(message.name) != list(JOINTS):
-        raise MessageRefused(f"its joints are not {', '.join(JOINTS)}")
+    if list(message.name) != list(machine.JOINTS):
+        raise MessageRefused(f"its joints are not {', '.join(machine.JOINTS)}")
     widest = max(0.0, *message.position, key=abs)  # 0.0 first: NaN is not measured
-    if problem := outside(widest, -math.pi, math.pi, "rad"):
+    if problem := texts.outside(widest, -math.pi, math.pi, "rad"):
         raise MessageRefused(f"a position: {problem}")
 
 
 def _two_pads(message: TactileFrame) -> None:
     sizes = (message.rows, message.columns, len(message.left), len(message.right))
-    if sizes != (ROWS, COLUMNS, ROWS * COLUMNS, ROWS * COLUMNS):
-        raise MessageRefused(f"its pads do not have {ROWS} × {COLUMNS} taxels")
+    if sizes != (machine.ROWS, machine.COLUMNS, machine.ROWS * machine.COLUMNS, machine.ROWS * machine.COLUMNS):
+        raise MessageRefused(f"its pads do not have {machine.ROWS} × {machine.COLUMNS} taxels")
     if any(np.isinf(pad).any() for pad in (message.left, message.right)):
         raise MessageRefused("a taxel's force is infinite")
 

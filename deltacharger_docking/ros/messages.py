@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Conversion between messages and the state machine's plain values. Part of docking_node."""
 
-from __future__ import annotations
-
 import copy
 import math
 from array import array
@@ -17,11 +15,8 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from deltacharger_core.frames import CHARGER_BASE, IDENTITY, lean, rotation
 from deltacharger_core.machine import JOINTS
-from deltacharger_core.ros.frames import Contradiction, TransformError, UnknownFrame
-from deltacharger_core.ros.messages import duration
-from deltacharger_docking.clearance import MisalignmentEstimate
-from deltacharger_docking.codes import PoseUnknown, Rejected
-from deltacharger_docking.observation import BasePose, ElectrodePose
+from deltacharger_core.ros import frames, messages
+from deltacharger_docking import clearance, codes, observation
 from deltacharger_kinematics.trajectory_feed import Waypoint
 
 _LEAN_MAX = math.radians(30.0)  # of a goal's electrodes: more is a wrong frame
@@ -42,7 +37,7 @@ MEASURED = (
 """Fields of a Dock result that have the same names in an outcome."""
 
 
-def refined(value: MisalignmentEstimate, source: Misalignment) -> Misalignment:
+def refined(value: clearance.MisalignmentEstimate, source: Misalignment) -> Misalignment:
     """Return the message of an estimate, with the values that docking has refined."""
     message = copy.deepcopy(source)
     for name in ("horizontal", "vertical", "across", "yaw", "pitch"):
@@ -66,7 +61,7 @@ def trajectory(waypoints: Sequence[Waypoint], stamp: Any, secret: str = "") -> J
             positions=array("d", point.angles),
             velocities=array("d", point.velocities or ()),
             effort=array("d", point.torque_bound),
-            time_from_start=duration(point.time),
+            time_from_start=messages.duration(point.time),
         )
         for point in waypoints
     ]
@@ -83,12 +78,12 @@ def check_numbers(message: PoseStamped) -> None:
     if not message.header.frame_id:
         return
     if not all(map(math.isfinite, (point.x, point.y, point.z, turn.x, turn.y, turn.z, turn.w))):
-        raise Rejected("the electrodes' pose is not finite; send numbers, or an empty frame_id to use the camera")
+        raise codes.Rejected("the electrodes' pose is not finite; send numbers, or an empty frame_id to use the camera")
     if not _UNIT[0] <= math.hypot(turn.x, turn.y, turn.z, turn.w) <= _UNIT[1]:
-        raise Rejected("the electrodes' orientation is not a unit quaternion; send one, such as (0, 0, 0, 1)")
+        raise codes.Rejected("the electrodes' orientation is not a unit quaternion; send one, such as (0, 0, 0, 1)")
 
 
-def electrodes(message: PoseStamped, charger: Sequence[float] = IDENTITY) -> ElectrodePose | None:
+def electrodes(message: PoseStamped, charger: Sequence[float] = IDENTITY) -> observation.ElectrodePose | None:
     """Return a goal's electrodes in charger_base; None for an empty frame_id (ask the camera).
 
     Args:
@@ -109,9 +104,9 @@ def electrodes(message: PoseStamped, charger: Sequence[float] = IDENTITY) -> Ele
     leans = math.atan2(math.hypot(axes[0, 2], axes[1, 2]), axes[2, 2])
     if leans > _LEAN_MAX:
         told = f"the electrodes' z axis leans {math.degrees(leans):.0f}° from charger_base's, more than 30°"
-        raise Rejected(f"{told}; give the orientation of charger_base, with their roll and lean")
+        raise codes.Rejected(f"{told}; give the orientation of charger_base, with their roll and lean")
     x, y, z = position.tolist()
-    found = ElectrodePose((x, y, z), math.atan2(axes[1, 0], axes[0, 0]))
+    found = observation.ElectrodePose((x, y, z), math.atan2(axes[1, 0], axes[0, 0]))
     if leans < _LEVEL:
         return found
     yaw, pitch = lean(axes.tolist())
@@ -119,13 +114,13 @@ def electrodes(message: PoseStamped, charger: Sequence[float] = IDENTITY) -> Ele
     return replace(found, yaw=yaw, pitch=pitch, yaw_stddev=stddev, pitch_stddev=stddev)
 
 
-def refusal(error: TransformError) -> Rejected:
+def refusal(error: frames.TransformError) -> codes.Rejected:
     """Return the refusal of a goal whose frame has no known transform; it is retriable if that may pass by itself."""
-    lasts = isinstance(error, UnknownFrame | Contradiction)
-    return Rejected(str(error)) if lasts else PoseUnknown(str(error))
+    lasts = isinstance(error, frames.UnknownFrame | frames.Contradiction)
+    return codes.Rejected(str(error)) if lasts else codes.PoseUnknown(str(error))
 
 
-def seen(message: ElectrodeDetection, age: float, frame: str = CHARGER_BASE) -> ElectrodePose:
+def seen(message: ElectrodeDetection, age: float, frame: str = CHARGER_BASE) -> observation.ElectrodePose:
     """Return a detection with this age (s) as plain values; `frame` is the full name of charger_base.
 
     A lean is unknown if its variance is NaN, or 0 as in messages that do not set it.
@@ -150,7 +145,7 @@ def seen(message: ElectrodeDetection, age: float, frame: str = CHARGER_BASE) -> 
         raise ValueError("the detection has a negative variance of a rotation; check the detector's covariance")
     pitch_stddev, yaw_stddev = (math.sqrt(variance) if variance > 0.0 else math.nan for variance in variances[:2])
     yaw, pitch = lean(axes)
-    return ElectrodePose(
+    return observation.ElectrodePose(
         (point.x, point.y, point.z),
         message.roll,
         math.sqrt(variances[2]) if variances[2] >= 0.0 else math.inf,  # NaN: an unknown error is not zero
@@ -163,7 +158,7 @@ def seen(message: ElectrodeDetection, age: float, frame: str = CHARGER_BASE) -> 
     )
 
 
-def pose_stamped(base: BasePose | None, stamp: Any, frame: str) -> PoseStamped:
+def pose_stamped(base: observation.BasePose | None, stamp: Any, frame: str) -> PoseStamped:
     """Return a pose for charger_base in the present one, named `frame`; an empty frame_id for None."""
     message = PoseStamped()
     if base is not None:

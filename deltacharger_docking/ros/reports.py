@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Outputs of docking: its state at every change, its decisions, its log, and diagnostics. Part of docking_node."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Sequence
@@ -13,8 +11,7 @@ from deltacharger.msg import DockingDecision, DockingState
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from deltacharger_core.ros.clock import before_now
-from deltacharger_core.ros.diagnostics import ERROR, OK, WARN, Diagnostics
+from deltacharger_core.ros import clock, diagnostics
 from deltacharger_core.ros.log import Log
 from deltacharger_core.texts import figure, passage, quantity
 from deltacharger_docking.codes import Code, State
@@ -44,7 +41,7 @@ class Reports:
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._state = node.create_publisher(DockingState, "docking_state", latched)
         self._decision = node.create_publisher(DockingDecision, "docking_decision", QoSProfile(depth=_DECISIONS))
-        self._diagnostics = Diagnostics(node)
+        self._diagnostics = diagnostics.Diagnostics(node)
         self._log, self.phases = log, PhaseLog(log, State.IDLE)
         self._closed, self._closed_since = False, math.nan
 
@@ -80,7 +77,7 @@ class Reports:
                 names=[name for name, _ in decision.values],
                 values=[float(value) for _, value in decision.values],
             )
-            message.header.stamp = before_now(self._node.get_clock(), time.monotonic() - decision.time)
+            message.header.stamp = clock.before_now(self._node.get_clock(), time.monotonic() - decision.time)
             message.header.frame_id = self._frame
             self._decision.publish(message)
 
@@ -89,15 +86,22 @@ class Reports:
         if time.monotonic() - self._diagnosed <= _DIAGNOSTICS:
             return
         self._diagnosed = time.monotonic()
-        level, text = (WARN, observation.clock_problem) if observation.clock_problem else (OK, status.state.name)
+        level, text = (
+            (diagnostics.WARN, observation.clock_problem)
+            if observation.clock_problem
+            else (diagnostics.OK, status.state.name)
+        )
         if status.code:
-            level, text = WARN, f"{status.code.name}: {status.message}"
+            level, text = diagnostics.WARN, f"{status.code.name}: {status.message}"
         if status.duplicate_sources:
-            level, text = WARN, f"second source, so the contactor will not be closed: {status.duplicate_sources}"
+            level, text = (
+                diagnostics.WARN,
+                f"second source, so the contactor will not be closed: {status.duplicate_sources}",
+            )
         ages = observation.servo_age, observation.tactile_age, observation.power_age
         stale = [name for name, age in zip(SOURCES, ages, strict=False) if age > self._age_max]
         if stale:
-            level, text = ERROR, f"missing or stale: {', '.join(stale)}"
+            level, text = diagnostics.ERROR, f"missing or stale: {', '.join(stale)}"
         entries = {
             "state": status.state.name,
             "docked": status.docked,

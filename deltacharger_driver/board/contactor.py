@@ -5,8 +5,6 @@ Energy never depends on a live host. The guard relays a live lease as the board'
 without one. Both have the same deadline, so the heartbeat stops in time even if the guard hangs.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hmac
 import math

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Keeps the board link up: connects, configures, watches, reconnects, and offers the servos behind it. No ROS."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import math
@@ -13,11 +11,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from deltacharger_core import runtime
-from deltacharger_driver.board.contactor import ContactorGuard
+from deltacharger_driver import errors, ports
+from deltacharger_driver.board import contactor, protocol
 from deltacharger_driver.board.link import BoardLink
-from deltacharger_driver.board.protocol import PowerSample, TactileSample
-from deltacharger_driver.errors import DriverError, NoServosBehindBoard, PortError
-from deltacharger_driver.ports import PseudoTerminal
 
 _log = logging.getLogger(__name__)
 _QUIET = 0.1  # s without a byte (ten cycles of servo_node) after which the port counts as unused
@@ -46,7 +42,7 @@ class PassThrough:
     def __init__(self, link: BoardLink, path: Path) -> None:
         self.path = path
         self._link = link
-        self._terminal = PseudoTerminal(self, path)
+        self._terminal = ports.PseudoTerminal(self, path)
         self._lock = threading.Lock()
         self._is_open = False
         self._received = b""
@@ -67,7 +63,7 @@ class PassThrough:
                 runtime.make(self.path.parent)
                 self._terminal.start()
             except OSError as error:
-                raise PortError(str(self.path), f"it cannot be created for the servos: {error}") from error
+                raise errors.PortError(str(self.path), f"it cannot be created for the servos: {error}") from error
             self._is_open = True
 
     def close(self) -> None:
@@ -99,7 +95,7 @@ class PassThrough:
                 self._link.set_servo_speed(speed)
                 self._speed = speed
             self._link.send_to_servos(data)
-        except DriverError as error:  # the program sees silent servos; the keeper reconnects the link
+        except errors.DriverError as error:  # the program sees silent servos; the keeper reconnects the link
             _log.debug("not passed through: %s", error)
         return b""
 
@@ -129,7 +125,7 @@ def servos_behind(port: str) -> Iterator[str]:
         link = BoardLink(port, on_servo=lambda data: servos.take_bytes(data))
         stack.callback(link.close)
         if not link.open().carries_servos:
-            raise NoServosBehindBoard(port)
+            raise errors.NoServosBehindBoard(port)
         folder = stack.enter_context(tempfile.TemporaryDirectory("", "deltacharger-"))
         servos = PassThrough(link, Path(folder) / "servos")
         stack.callback(servos.close)
@@ -163,8 +159,8 @@ class BoardKeeper:
         self,
         port: str,
         rate: float,
-        on_tactile: Callable[[TactileSample], None],
-        on_power: Callable[[PowerSample], None],
+        on_tactile: Callable[[protocol.TactileSample], None],
+        on_power: Callable[[protocol.PowerSample], None],
         on_change: Callable[[str], None],
         servo_port: Path,
     ) -> None:
@@ -187,7 +183,7 @@ class BoardKeeper:
             on_servo=self._take_servo,
         )
         self.servos = PassThrough(self.link, servo_port)
-        self.guard = ContactorGuard(self.link, on_lease=self._wake.set)
+        self.guard = contactor.ContactorGuard(self.link, on_lease=self._wake.set)
         self._thread = threading.Thread(target=self._run, name=f"board keeper {port}", daemon=True)
 
     def start(self) -> None:
@@ -210,7 +206,7 @@ class BoardKeeper:
                 backoff = _SHORTEST_BACKOFF
                 self._watch()
                 self._shut_down()
-            except DriverError as error:
+            except errors.DriverError as error:
                 self._report(str(error))
             finally:
                 self.guard.interrupted()
@@ -237,16 +233,16 @@ class BoardKeeper:
             self.guard.tick()
             now = time.monotonic()
             if now - self._last_packet > _SILENCE:
-                raise PortError(self.link.port, f"the board has sent no packet for {_SILENCE:g} s")
+                raise errors.PortError(self.link.port, f"the board has sent no packet for {_SILENCE:g} s")
             if self._rebooted or now - self._last_frame > _STREAM_SILENCE:
                 self._configure()
 
     def _shut_down(self) -> None:
-        with contextlib.suppress(DriverError):
+        with contextlib.suppress(errors.DriverError):
             self.guard.shut_down()
         time.sleep(max(0.0, self._last_closed + _FINAL_REPORTS - time.monotonic()))  # the reader continues
         self.servos.wait_until_quiet(_SERVOS_SAFE)
-        with contextlib.suppress(DriverError):
+        with contextlib.suppress(errors.DriverError):
             self.link.stop()
 
     def _report(self, problem: str) -> None:
@@ -254,12 +250,12 @@ class BoardKeeper:
             self.problem = problem
             self._on_change(problem)
 
-    def _take_tactile(self, sample: TactileSample) -> None:
+    def _take_tactile(self, sample: protocol.TactileSample) -> None:
         self._last_frame = self._last_packet = time.monotonic()
         self.guard.observe_tactile(sample)
         self._on_tactile(sample)
 
-    def _take_power(self, sample: PowerSample) -> None:
+    def _take_power(self, sample: protocol.PowerSample) -> None:
         self._last_packet = time.monotonic()
         if sample.power.contactor_closed:
             self._last_closed = self._last_packet

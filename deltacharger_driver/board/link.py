@@ -10,22 +10,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from deltacharger_core.machine import BAUD_RATE, COLUMNS, ROWS, ChargeLimits
-from deltacharger_driver.board import protocol
-from deltacharger_driver.board.protocol import (
-    AckError,
-    BoardLinkCounters,
-    BoardMismatch,
-    CommandRefused,
-    Hello,
-    PacketType,
-    PowerSample,
-    ProbeResult,
-    TactileSample,
-)
-from deltacharger_driver.board.receiver import BoardReceiver, BoardRequest, BoardRequests
-from deltacharger_driver.errors import MAYBE_SWAPPED, NoAnswer, PortGone
-from deltacharger_driver.packets import VERSION, DecoderCounters, Packet, PacketDecoder, encode_packet
-from deltacharger_driver.ports import RawPort
+from deltacharger_driver import errors, packets, ports
+from deltacharger_driver.board import protocol, receiver
 
 _NEVER = float("-inf")
 
@@ -95,26 +81,28 @@ class Heartbeat:
             due = max(due + protocol.HEARTBEAT_PERIOD, now)
             try:
                 self._send()
-            except PortGone:
+            except errors.PortGone:
                 return
 
 
-def refuse_incompatible(port: str, hello: Hello) -> None:
+def refuse_incompatible(port: str, hello: protocol.Hello) -> None:
     """Refuse a board of another version or with other array sizes by `BoardMismatch`."""
-    if hello.major != VERSION or hello.minor < protocol.MINOR:
-        raise BoardMismatch(port, f"the board speaks version {hello.major}.{hello.minor}")
+    if hello.major != packets.VERSION or hello.minor < protocol.MINOR:
+        raise protocol.BoardMismatch(port, f"the board speaks version {hello.major}.{hello.minor}")
     if (hello.rows, hello.columns) != (ROWS, COLUMNS):
-        raise BoardMismatch(port, f"the board has {hello.rows} x {hello.columns} taxels per pad")
+        raise protocol.BoardMismatch(port, f"the board has {hello.rows} x {hello.columns} taxels per pad")
 
 
-def explain_silence(port: str, before: DecoderCounters, now: DecoderCounters, error: NoAnswer) -> Exception:
+def explain_silence(
+    port: str, before: packets.DecoderCounters, now: packets.DecoderCounters, error: errors.NoAnswer
+) -> Exception:
     """Return the error for a board that did not answer, from the bytes received since `before`."""
     if now.version_errors > before.version_errors:
-        return BoardMismatch(port, f"the board speaks version {now.refused_version}")
+        return protocol.BoardMismatch(port, f"the board speaks version {now.refused_version}")
     if now.packets == before.packets and now.bytes > before.bytes:
         count = now.bytes - before.bytes
-        return BoardMismatch(
-            port, f"received {count} bytes, but no intact packet", f"check the line, and {MAYBE_SWAPPED}"
+        return protocol.BoardMismatch(
+            port, f"received {count} bytes, but no intact packet", f"check the line, and {errors.MAYBE_SWAPPED}"
         )
     return error
 
@@ -144,25 +132,25 @@ class BoardLink:
     def __init__(
         self,
         port: str,
-        on_tactile: Callable[[TactileSample], None] | None = None,
-        on_power: Callable[[PowerSample], None] | None = None,
+        on_tactile: Callable[[protocol.TactileSample], None] | None = None,
+        on_power: Callable[[protocol.PowerSample], None] | None = None,
         on_boot: Callable[[], None] | None = None,
         on_servo: Callable[[bytes], None] | None = None,
     ) -> None:
         self.port = port
         self._on_boot = on_boot
-        self._decoder = PacketDecoder()
-        self._requests = BoardRequests()
-        self._receiver = BoardReceiver(self._requests, on_tactile, on_power, self._rebooted, on_servo)
-        self._sequences: dict[PacketType, int] = {}
+        self._decoder = packets.PacketDecoder()
+        self._requests = receiver.BoardRequests()
+        self._receiver = receiver.BoardReceiver(self._requests, on_tactile, on_power, self._rebooted, on_servo)
+        self._sequences: dict[protocol.PacketType, int] = {}
         self._gone_lock = threading.Lock()
         self._write_lock = threading.Lock()  # port writes and outgoing sequences
-        self._port: RawPort | None = None
+        self._port: ports.RawPort | None = None
         self._reader: threading.Thread | None = None
         self._heartbeat: Heartbeat | None = None
         self._closing = threading.Event()
-        self.gone: PortGone | None = None
-        self.greeting: Hello | None = None
+        self.gone: errors.PortGone | None = None
+        self.greeting: protocol.Hello | None = None
 
     def __enter__(self) -> BoardLink:
         self.open()
@@ -171,7 +159,7 @@ class BoardLink:
     def __exit__(self, *exception: object) -> None:
         self.close()
 
-    def open(self) -> Hello:
+    def open(self) -> protocol.Hello:
         """Open the port and exchange HELLO with the board.
 
         Returns:
@@ -184,11 +172,11 @@ class BoardLink:
         """
         if self._port is not None:
             raise RuntimeError(f"{self.port} is already open; close the link first")
-        self._port = RawPort(self.port, BAUD_RATE)
+        self._port = ports.RawPort(self.port, BAUD_RATE)
         self.gone = None
         self._closing.clear()
         counters = self._decoder.counters
-        self._decoder = PacketDecoder()
+        self._decoder = packets.PacketDecoder()
         self._decoder.counters = counters
         before = replace(counters)
         self._heartbeat = Heartbeat(self._send_heartbeat, f"board heartbeat {self.port}")
@@ -201,10 +189,10 @@ class BoardLink:
             self.close()
             raise
 
-    def _greet(self, before: DecoderCounters) -> Hello:
+    def _greet(self, before: packets.DecoderCounters) -> protocol.Hello:
         try:
             hello = self.hello()
-        except NoAnswer as error:
+        except errors.NoAnswer as error:
             raise explain_silence(self.port, before, self._decoder.counters, error) from error
         refuse_incompatible(self.port, hello)
         self.greeting = hello
@@ -224,23 +212,23 @@ class BoardLink:
         if self._reader is not None:
             self._reader.join()
             self._reader = None
-        self._requests.fail(PortGone(self.port, "the link was closed"))
+        self._requests.fail(errors.PortGone(self.port, "the link was closed"))
         with self._write_lock:
             port, self._port = self._port, None
         if port is not None:
             port.close()
 
     @property
-    def counters(self) -> BoardLinkCounters:
+    def counters(self) -> protocol.BoardLinkCounters:
         """A copy of the link's counters."""
         return self._receiver.snapshot()
 
     @property
-    def decoder_counters(self) -> DecoderCounters:
+    def decoder_counters(self) -> packets.DecoderCounters:
         """A copy of the decoder's counters: bytes, packets and damage."""
         return replace(self._decoder.counters)
 
-    def hello(self) -> Hello:
+    def hello(self) -> protocol.Hello:
         """Request the board's HELLO.
 
         Raises:
@@ -248,10 +236,10 @@ class BoardLink:
         """
         self._receiver.hello = None
         for _ in range(2):  # HELLO may be lost although its ACK arrives
-            self._ask(PacketType.HELLO, attempt_timeout=0.15, attempts=3)
+            self._ask(protocol.PacketType.HELLO, attempt_timeout=0.15, attempts=3)
             if self._receiver.hello is not None:
                 return self._receiver.hello
-        raise NoAnswer(self.port, "HELLO (acknowledged, but no HELLO received)", 0.3)
+        raise errors.NoAnswer(self.port, "HELLO (acknowledged, but no HELLO received)", 0.3)
 
     def keep_alive(self, until: float) -> None:
         """Send heartbeats until `until` (s, monotonic); each call replaces that deadline.
@@ -259,7 +247,7 @@ class BoardLink:
         The first is sent before this returns, so the contactor may be closed at once.
         """
         if self._heartbeat is None:
-            raise PortGone(self.port, "the link is closed")
+            raise errors.PortGone(self.port, "the link is closed")
         self._heartbeat.keep_alive(until)
 
     def stop_heartbeat(self) -> None:
@@ -270,11 +258,11 @@ class BoardLink:
 
     def start(self) -> None:
         """Start the stream of tactile frames; harmless if it runs already."""
-        self._ask(PacketType.START)
+        self._ask(protocol.PacketType.START)
 
     def stop(self) -> None:
         """Stop the stream of tactile frames; POWER continues."""
-        self._ask(PacketType.STOP)
+        self._ask(protocol.PacketType.STOP)
 
     def set_rate(self, rate: float) -> None:
         """Set the rate of tactile frames, Hz.
@@ -282,8 +270,10 @@ class BoardLink:
         Raises:
             CommandRefused: the board does not support this rate.
         """
-        advice: dict[int, str] = {AckError.BAD_PAYLOAD: f"it does not sample at {rate:g} Hz; it starts at 120 Hz"}
-        self._ask(PacketType.RATE, protocol.encode_rate(rate), advice=advice)
+        advice: dict[int, str] = {
+            protocol.AckError.BAD_PAYLOAD: f"it does not sample at {rate:g} Hz; it starts at 120 Hz"
+        }
+        self._ask(protocol.PacketType.RATE, protocol.encode_rate(rate), advice=advice)
 
     def tare(self) -> None:
         """Make the board take the present, unloaded reading as zero. The host subtracts nothing more.
@@ -292,9 +282,9 @@ class BoardLink:
             CommandRefused: something touches a pad.
         """
         advice: dict[int, str] = {
-            AckError.NOT_NOW: "something presses on a pad (a taxel reads 1 N or more); retract first"
+            protocol.AckError.NOT_NOW: "something presses on a pad (a taxel reads 1 N or more); retract first"
         }
-        self._ask(PacketType.TARE, attempt_timeout=0.25, attempts=2, advice=advice)
+        self._ask(protocol.PacketType.TARE, attempt_timeout=0.25, attempts=2, advice=advice)
 
     def contactor(self, close: bool, limits: ChargeLimits | None = None) -> None:
         """Close the contactor within limits, or open it. A close also needs `keep_alive` and a fresh `probe`.
@@ -307,14 +297,14 @@ class BoardLink:
             raise ValueError("a close needs limits of current and voltage")
         payload = bytes([protocol.OPEN]) if limits is None or not close else protocol.encode_close(limits)
         advice: dict[int, str] = {
-            AckError.BAD_PAYLOAD: "a limit of current, voltage or time is out of range",
-            AckError.NOT_NOW: "the contactor is already closed",
+            protocol.AckError.BAD_PAYLOAD: "a limit of current, voltage or time is out of range",
+            protocol.AckError.NOT_NOW: "the contactor is already closed",
         }
         try:
-            self._ask(PacketType.CONTACTOR, payload, attempt_timeout=0.05, attempts=4, advice=advice)
-        except CommandRefused as error:
+            self._ask(protocol.PacketType.CONTACTOR, payload, attempt_timeout=0.05, attempts=4, advice=advice)
+        except protocol.CommandRefused as error:
             # If a repeated close finds the contactor closed, only the first answer was lost.
-            if not (close and error.error == AckError.NOT_NOW and error.attempts > 1):
+            if not (close and error.error == protocol.AckError.NOT_NOW and error.attempts > 1):
                 raise
 
     def limit_current(self, current: float) -> None:
@@ -323,8 +313,14 @@ class BoardLink:
         Raises:
             CommandRefused: the contactor is open, or the current is out of range.
         """
-        advice: dict[int, str] = {AckError.NOT_NOW: "the contactor is open"}
-        self._ask(PacketType.CONTACTOR, protocol.encode_limit(current), attempt_timeout=0.05, attempts=4, advice=advice)
+        advice: dict[int, str] = {protocol.AckError.NOT_NOW: "the contactor is open"}
+        self._ask(
+            protocol.PacketType.CONTACTOR,
+            protocol.encode_limit(current),
+            attempt_timeout=0.05,
+            attempts=4,
+            advice=advice,
+        )
 
     def clear_weld(self) -> None:
         """Clear a latched weld. Only a person who has replaced the contactor may order it.
@@ -333,13 +329,15 @@ class BoardLink:
             CommandRefused: something is still live, the contactor is closed, or another fault is latched.
         """
         advice: dict[int, str] = {
-            AckError.BAD_PAYLOAD: "its firmware latches no welds; flash the current one",
-            AckError.INTERLOCK: "contactor or electrodes are live, or their current is not measured",
-            AckError.NOT_NOW: "the contactor is closed, or another fault is latched; open it first",
+            protocol.AckError.BAD_PAYLOAD: "its firmware latches no welds; flash the current one",
+            protocol.AckError.INTERLOCK: "contactor or electrodes are live, or their current is not measured",
+            protocol.AckError.NOT_NOW: "the contactor is closed, or another fault is latched; open it first",
         }
-        self._ask(PacketType.CONTACTOR, bytes([protocol.CLEAR_WELD]), attempt_timeout=0.05, attempts=4, advice=advice)
+        self._ask(
+            protocol.PacketType.CONTACTOR, bytes([protocol.CLEAR_WELD]), attempt_timeout=0.05, attempts=4, advice=advice
+        )
 
-    def probe(self) -> ProbeResult:
+    def probe(self) -> protocol.ProbeResult:
         """Look at the port between the electrodes (≤ 5 V, ≤ 50 mA); the board takes up to `PROBE_TIMEOUT`.
 
         Raises:
@@ -347,19 +345,21 @@ class BoardLink:
                 or current flows.
         """
         advice: dict[int, str] = {
-            AckError.INTERLOCK: "a fault is latched, or current flows; open the contactor, then probe",
-            AckError.NOT_NOW: "the contactor is closed, another probe is running, or an opening interrupted this one",
+            protocol.AckError.INTERLOCK: "a fault is latched, or current flows; open the contactor, then probe",
+            protocol.AckError.NOT_NOW: "the contactor is closed, another probe is running, or it was interrupted",
         }
-        request = self._ask(PacketType.PROBE, attempt_timeout=protocol.PROBE_TIMEOUT + 0.1, attempts=2, advice=advice)
+        request = self._ask(
+            protocol.PacketType.PROBE, attempt_timeout=protocol.PROBE_TIMEOUT + 0.1, attempts=2, advice=advice
+        )
         assert request.ack is not None
         resistance, voltage = protocol.decode_probe(request.ack.data)
-        return ProbeResult(resistance, voltage, request.received)
+        return protocol.ProbeResult(resistance, voltage, request.received)
 
     def ping(self) -> float:
         """Have some bytes returned, and return the round-trip time, s."""
         data = os.urandom(8)
         sent = time.monotonic()
-        return self._ask(PacketType.PING, data).received - sent
+        return self._ask(protocol.PacketType.PING, data).received - sent
 
     def send_to_servos(self, data: bytes) -> None:
         """Send bytes on the servos' bus behind the board, without confirmation; replies arrive through on_servo.
@@ -368,7 +368,7 @@ class BoardLink:
             PortGone: the port vanished.
         """
         for at in range(0, len(data), protocol.LONGEST_SERVO):
-            self._send(PacketType.SERVO, data[at : at + protocol.LONGEST_SERVO])
+            self._send(protocol.PacketType.SERVO, data[at : at + protocol.LONGEST_SERVO])
 
     def set_servo_speed(self, speed: int) -> None:
         """Set the speed of the servos' bus behind the board, bit/s.
@@ -376,20 +376,20 @@ class BoardLink:
         Raises:
             CommandRefused: the board does not support this speed.
         """
-        advice: dict[int, str] = {AckError.BAD_PAYLOAD: f"the servos' bus does not support {speed} bit/s"}
-        self._ask(PacketType.SERVO_SPEED, protocol.encode_servo_speed(speed), advice=advice)
+        advice: dict[int, str] = {protocol.AckError.BAD_PAYLOAD: f"the servos' bus does not support {speed} bit/s"}
+        self._ask(protocol.PacketType.SERVO_SPEED, protocol.encode_servo_speed(speed), advice=advice)
 
     def _ask(
         self,
-        type: PacketType,
+        type: protocol.PacketType,
         payload: bytes = b"",
         attempt_timeout: float = 0.1,
         attempts: int = 5,
         advice: dict[int, str] | None = None,
-    ) -> BoardRequest:
+    ) -> receiver.BoardRequest:
         if threading.current_thread() is self._reader:
             raise RuntimeError(f"{type.name} from a callback would block forever; call it from another thread")
-        with self._requests.waiting(BoardRequest(type, payload)) as request:
+        with self._requests.waiting(receiver.BoardRequest(type, payload)) as request:
             for attempt in range(attempts):
                 self._receiver.counters.retries += attempt > 0
                 self._send(type, payload, request)
@@ -397,35 +397,37 @@ class BoardLink:
                     break
             else:
                 self._receiver.counters.unanswered += 1
-                raise NoAnswer(self.port, type.name, attempt_timeout * attempts)
+                raise errors.NoAnswer(self.port, type.name, attempt_timeout * attempts)
         if request.error is not None:
             raise request.error
-        if request.ack is not None and request.ack.error != AckError.DONE:
+        if request.ack is not None and request.ack.error != protocol.AckError.DONE:
             error = request.ack.error
-            raise CommandRefused(type, error, (advice or {}).get(error, ""), len(request.sequences))
+            raise protocol.CommandRefused(type, error, (advice or {}).get(error, ""), len(request.sequences))
         return request
 
-    def _send(self, type: PacketType, payload: bytes = b"", request: BoardRequest | None = None) -> None:
+    def _send(
+        self, type: protocol.PacketType, payload: bytes = b"", request: receiver.BoardRequest | None = None
+    ) -> None:
         if self.gone is not None:
             raise self.gone
         try:
             with self._write_lock:
                 if self._port is None:
-                    raise PortGone(self.port, "the link is closed")
+                    raise errors.PortGone(self.port, "the link is closed")
                 sequence = self._sequences.get(type, 0)
                 self._sequences[type] = (sequence + 1) % 65536
                 if request is not None:
                     self._requests.attempt(request, sequence)
-                self._port.write(encode_packet(Packet(type, payload, sequence)))
-        except PortGone as error:
+                self._port.write(packets.encode_packet(packets.Packet(type, payload, sequence)))
+        except errors.PortGone as error:
             self._vanish(error)
             raise
 
     def _send_heartbeat(self) -> None:
-        self._send(PacketType.HEARTBEAT)
+        self._send(protocol.PacketType.HEARTBEAT)
         self._receiver.counters.heartbeats += 1
 
-    def _vanish(self, error: PortGone) -> None:
+    def _vanish(self, error: errors.PortGone) -> None:
         with self._gone_lock:
             if self.gone is not None or self._closing.is_set():
                 return
@@ -447,5 +449,5 @@ class BoardLink:
                 received = time.monotonic()
                 for packet in self._decoder.feed(data):
                     self._receiver.take_packet(packet, received)
-        except PortGone as error:
+        except errors.PortGone as error:
             self._vanish(error)

@@ -4,8 +4,6 @@
 Pure functions, without port, clock or state of the board. Their frame is in packets.py.
 """
 
-from __future__ import annotations
-
 import enum
 import math
 import struct

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Interprets packets from the board: times on the host's clock, rising numbers, answers to commands, reboots."""
 
-from __future__ import annotations
-
 import logging
 import math
 import threading
@@ -12,17 +10,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from deltacharger_driver.board import protocol
-from deltacharger_driver.board.protocol import (
-    Ack,
-    BoardLinkCounters,
-    Hello,
-    PacketError,
-    PacketType,
-    Power,
-    PowerSample,
-    TactileSample,
-    Taxels,
-)
 from deltacharger_driver.packets import Packet
 
 _WINDOW, _BUCKET = 5.0, 0.5  # s of history, in which two poor crystals drift by 1 ms; of one minimum
@@ -110,11 +97,11 @@ class BoardRequest:
         received: s, arrival of the answer.
     """
 
-    type: PacketType
+    type: protocol.PacketType
     payload: bytes
     sequences: set[int] = field(default_factory=set)
     done: threading.Event = field(default_factory=threading.Event)
-    ack: Ack | None = None
+    ack: protocol.Ack | None = None
     received: float = 0.0
     error: Exception | None = None
 
@@ -142,15 +129,15 @@ class BoardRequests:
         with self._lock:
             request.sequences.add(sequence)
 
-    def acknowledge(self, ack: Ack, received: float) -> None:
+    def acknowledge(self, ack: protocol.Ack, received: float) -> None:
         """Deliver an ACK to its command; a late one is dropped."""
         self._end(lambda request: request.type == ack.type and ack.sequence in request.sequences, received, ack)
 
     def ping_returned(self, payload: bytes, received: float) -> None:
         """Deliver a returned PING to its sender."""
-        self._end(lambda request: request.type is PacketType.PING and request.payload == payload, received)
+        self._end(lambda request: request.type is protocol.PacketType.PING and request.payload == payload, received)
 
-    def _end(self, is_its: Callable[[BoardRequest], bool], received: float, ack: Ack | None = None) -> None:
+    def _end(self, is_its: Callable[[BoardRequest], bool], received: float, ack: protocol.Ack | None = None) -> None:
         with self._lock:
             for request in filter(is_its, self._waiting):
                 request.ack, request.received = ack, received
@@ -167,7 +154,7 @@ class BoardRequests:
         """End all waiting commands except HELLO, whose answer may have revealed the reboot."""
         with self._lock:
             for request in self._waiting:
-                if request.type is not PacketType.HELLO and not request.done.is_set():
+                if request.type is not protocol.PacketType.HELLO and not request.done.is_set():
                     request.error = protocol.BoardRebooted(request.type.name)
                     request.done.set()
 
@@ -190,8 +177,8 @@ class BoardReceiver:
     def __init__(
         self,
         requests: BoardRequests,
-        on_tactile: Callable[[TactileSample], None] | None,
-        on_power: Callable[[PowerSample], None] | None,
+        on_tactile: Callable[[protocol.TactileSample], None] | None,
+        on_power: Callable[[protocol.PowerSample], None] | None,
         on_boot: Callable[[], None],
         on_servo: Callable[[bytes], None] | None = None,
     ) -> None:
@@ -205,10 +192,10 @@ class BoardReceiver:
         self._power_sequence = SequenceUnwrapper()
         self._latest_device_time = 0.0
         self._boot_id: int | None = None
-        self.hello: Hello | None = None
-        self.counters = BoardLinkCounters()
+        self.hello: protocol.Hello | None = None
+        self.counters = protocol.BoardLinkCounters()
 
-    def snapshot(self) -> BoardLinkCounters:
+    def snapshot(self) -> protocol.BoardLinkCounters:
         """Return a copy of the counters."""
         return replace(
             self.counters,
@@ -226,33 +213,33 @@ class BoardReceiver:
         try:
             protocol.check_header(packet)
             value = _DECODERS[packet.type](packet.payload)
-        except PacketError as error:
+        except protocol.PacketError as error:
             self.counters.bad_payloads += 1
             _log.debug("dropped: %s", error)
             return
         device_time = packet.device_time_us * 1e-6
-        if isinstance(value, Hello):
+        if isinstance(value, protocol.Hello):
             self._notice_boot_id(value, device_time)
         if device_time < self._latest_device_time - _CLOCK_STEP_BACK:
             self._boot_id = None  # its HELLO was lost; the next one has the new number
             self._reboot()
         self._latest_device_time = max(self._latest_device_time, device_time)
         when = self._device_clock.update(device_time, received)
-        if packet.type == PacketType.TACTILE:
+        if packet.type == protocol.PacketType.TACTILE:
             self._take_tactile(packet, value, when)
-        elif isinstance(value, Power) and self._power_sequence.update(packet.sequence) is not None:
+        elif isinstance(value, protocol.Power) and self._power_sequence.update(packet.sequence) is not None:
             self.counters.power += 1
-            self._call(self._on_power, PowerSample(when, value))
-        elif isinstance(value, Hello):
+            self._call(self._on_power, protocol.PowerSample(when, value))
+        elif isinstance(value, protocol.Hello):
             self.hello = value
-        elif isinstance(value, Ack):
+        elif isinstance(value, protocol.Ack):
             self._requests.acknowledge(value, received)
-        elif packet.type == PacketType.PING:
+        elif packet.type == protocol.PacketType.PING:
             self._requests.ping_returned(value, received)
-        elif packet.type == PacketType.SERVO:
+        elif packet.type == protocol.PacketType.SERVO:
             self._call(self._on_servo, value)
 
-    def _notice_boot_id(self, hello: Hello, device_time: float) -> None:
+    def _notice_boot_id(self, hello: protocol.Hello, device_time: float) -> None:
         known, self._boot_id = self._boot_id, hello.boot_id
         if known is None and device_time >= self._latest_device_time:
             self._device_clock.reset()  # earlier packets may be of a boot before: many boards boot when a port opens
@@ -268,13 +255,13 @@ class BoardReceiver:
         self._requests.rebooted()
         self._call(self._on_boot)
 
-    def _take_tactile(self, packet: Packet, pads: Taxels, when: float) -> None:
+    def _take_tactile(self, packet: Packet, pads: protocol.Taxels, when: float) -> None:
         sequence = self._tactile_sequence.update(packet.sequence)
         if sequence is None:
             return
         self.counters.tactile += 1
         tared, overrun = bool(packet.flags & protocol.FLAG_TARED), bool(packet.flags & protocol.FLAG_OVERRUN)
-        sample = TactileSample(when, sequence, packet.device_time_us, pads, tared, overrun)
+        sample = protocol.TactileSample(when, sequence, packet.device_time_us, pads, tared, overrun)
         self._call(self._on_tactile, sample)
 
     def _call(self, callback: Callable[..., None] | None, *arguments: object) -> None:
@@ -290,11 +277,11 @@ class BoardReceiver:
 
 
 _DECODERS: dict[int, Callable[[bytes], Any]] = {
-    PacketType.TACTILE: protocol.decode_samples,
-    PacketType.POWER: protocol.decode_power,
-    PacketType.HELLO: protocol.decode_hello,
-    PacketType.ACK: protocol.decode_ack,
-    PacketType.PING: protocol.decode_ping,
-    PacketType.SERVO: protocol.decode_servo,
+    protocol.PacketType.TACTILE: protocol.decode_samples,
+    protocol.PacketType.POWER: protocol.decode_power,
+    protocol.PacketType.HELLO: protocol.decode_hello,
+    protocol.PacketType.ACK: protocol.decode_ack,
+    protocol.PacketType.PING: protocol.decode_ping,
+    protocol.PacketType.SERVO: protocol.decode_servo,
 }
 """Decoder per packet type. A packet is decoded completely before it changes clock or counters."""

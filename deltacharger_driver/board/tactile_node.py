@@ -13,8 +13,6 @@ not as the limits expect it, or a latched fault. When the port vanishes, the lea
 reopens the port.
 """
 
-from __future__ import annotations
-
 import math
 import threading
 import time
@@ -32,26 +30,15 @@ from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import BatteryState
 from std_srvs.srv import Trigger
 
-from deltacharger_core import runtime
-from deltacharger_core.environment import domain
+from deltacharger_core import environment, machine, real_time, runtime, texts
 from deltacharger_core.frames import CHARGER_BASE, END_EFFECTOR, FrameParameters
-from deltacharger_core.machine import BAUD_RATE, COLUMNS, ROWS, ZERO_CURRENT, ChargeLimits, port_of
-from deltacharger_core.real_time import RateMeter, late, priority
-from deltacharger_core.ros import node_support
-from deltacharger_core.ros.clock import Stamps, steady_timer
-from deltacharger_core.ros.diagnostics import ERROR, OK, WARN, Diagnostics
+from deltacharger_core.ros import clock, diagnostics, log, messages, node_support, parameters
 from deltacharger_core.ros.executor import order_age
-from deltacharger_core.ros.log import Log
-from deltacharger_core.ros.messages import seconds, unknown
-from deltacharger_core.ros.parameters import declare_all, reject_unknown
 from deltacharger_core.ros.qos import LATEST, SERVICE
-from deltacharger_core.texts import quantity
-from deltacharger_driver.board.contactor import STALE_FRAME, STALE_POWER
-from deltacharger_driver.board.keeper import BoardKeeper
-from deltacharger_driver.board.protocol import PowerSample, TactileSample
-from deltacharger_driver.errors import DriverError
+from deltacharger_driver import errors, ports
+from deltacharger_driver.board import contactor, keeper, protocol
+from deltacharger_driver.board.contactor import STALE_FRAME
 from deltacharger_driver.parameters import TactileNodeParameters
-from deltacharger_driver.ports import RawPort
 
 _DIAGNOSTICS_PERIOD = 1.0  # s
 BATTERY_PERIOD = 1.0
@@ -61,9 +48,9 @@ _PRESENT = 6.0  # V, either polarity; without a battery the probe causes 5 V at 
 _FIELDS = ("voltage", "temperature", "current", "charge", "capacity", "design_capacity", "percentage")
 
 
-def limits_of(request: SetContactor.Request) -> ChargeLimits:
+def limits_of(request: SetContactor.Request) -> machine.ChargeLimits:
     """Return the limits that a request to close gives; all 0 in an old client's."""
-    return ChargeLimits(
+    return machine.ChargeLimits(
         request.current_max, request.voltage_max, request.dead_port, request.start_time, request.gap_time
     )
 
@@ -78,14 +65,14 @@ class SamplePublishers:
     """
 
     def __init__(self, node: Node, qos: QoSProfile, frame_id: str) -> None:
-        self._stamps = Stamps(node.get_clock())
-        self._frame = TactileFrame(rows=ROWS, columns=COLUMNS, pitch=_PITCH)
+        self._stamps = clock.Stamps(node.get_clock())
+        self._frame = TactileFrame(rows=machine.ROWS, columns=machine.COLUMNS, pitch=_PITCH)
         self._power = ChargerPower()
         self._frame.header.frame_id = self._power.header.frame_id = frame_id
         self._frames = node.create_publisher(TactileFrame, "tactile_frame", qos_profile_sensor_data)
         self._powers = node.create_publisher(ChargerPower, "charger_power", qos)
 
-    def frame(self, sample: TactileSample) -> None:
+    def frame(self, sample: protocol.TactileSample) -> None:
         """Publish a tactile frame."""
         message = self._frame
         message.header.stamp = self._stamps.at(sample.time)
@@ -94,7 +81,9 @@ class SamplePublishers:
         message.left, message.right = (array("f", pad.tobytes()) for pad in sample.pads)
         self._frames.publish(message)
 
-    def power(self, sample: PowerSample, probe_resistance: float, probe_age: float, stage: tuple[bool, float]) -> None:
+    def power(
+        self, sample: protocol.PowerSample, probe_resistance: float, probe_age: float, stage: tuple[bool, float]
+    ) -> None:
         """Publish the power stage with the last probe's ohm (NaN = none) and age in s (inf = none or void).
 
         `stage` is its `steps_up` and `stage_voltage` (V) as in `Hello`.
@@ -118,7 +107,7 @@ class BatteryPublishers:
     """
 
     def __init__(self, node: Node, frames: FrameParameters) -> None:
-        self._stamps = Stamps(node.get_clock())
+        self._stamps = clock.Stamps(node.get_clock())
         self._publishers = [
             (node.create_publisher(BatteryState, topic, LATEST), read, frames.named(frame))
             for topic, read, frame in (
@@ -127,7 +116,7 @@ class BatteryPublishers:
             )
         ]
 
-    def publish(self, sample: PowerSample | None) -> None:
+    def publish(self, sample: protocol.PowerSample | None) -> None:
         """Publish both; None = no fresh sample."""
         stamp = self._stamps.at(time.monotonic() if sample is None else sample.time)
         for publisher, read, frame in self._publishers:
@@ -137,18 +126,18 @@ class BatteryPublishers:
             publisher.publish(message)
 
 
-def own_battery(sample: PowerSample | None) -> BatteryState:
+def own_battery(sample: protocol.PowerSample | None) -> BatteryState:
     """Return the charger's battery. Its current (A) is unknown: servos and computer draw from it too.
 
     It discharges while it charges a target. Otherwise its state is unknown: the robot may itself be on a charger.
     """
     message = _battery("charger", math.nan if sample is None else sample.power.battery_voltage)
-    if message.present and sample is not None and sample.power.charge_current >= ZERO_CURRENT:
+    if message.present and sample is not None and sample.power.charge_current >= machine.ZERO_CURRENT:
         message.power_supply_status = BatteryState.POWER_SUPPLY_STATUS_DISCHARGING
     return message
 
 
-def target_battery(sample: PowerSample | None) -> BatteryState:
+def target_battery(sample: protocol.PowerSample | None) -> BatteryState:
     """Return the target's battery: V and A into it while docked, else NaN.
 
     The voltage is measured at the electrodes: while current flows, it includes the drop of the target's wires.
@@ -165,9 +154,9 @@ def target_battery(sample: PowerSample | None) -> BatteryState:
 
 def _status(current: float) -> int:
     """Return the charging status for a current, A, positive into the battery."""
-    if current >= ZERO_CURRENT:
+    if current >= machine.ZERO_CURRENT:
         return int(BatteryState.POWER_SUPPLY_STATUS_CHARGING)
-    if current <= -ZERO_CURRENT:
+    if current <= -machine.ZERO_CURRENT:
         return int(BatteryState.POWER_SUPPLY_STATUS_DISCHARGING)
     return int(BatteryState.POWER_SUPPLY_STATUS_NOT_CHARGING)
 
@@ -189,20 +178,23 @@ class TactileNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("tactile_node", **kwargs)
-        given, frames = declare_all(self, TactileNodeParameters), declare_all(self, FrameParameters)
-        reject_unknown(self)
+        given, frames = (
+            parameters.declare_all(self, TactileNodeParameters),
+            parameters.declare_all(self, FrameParameters),
+        )
+        parameters.reject_unknown(self)
         try:  # failing at start is a wrong set-up; a port that vanishes later is reopened
-            RawPort(given.port, BAUD_RATE).close()
-        except DriverError as error:
+            ports.RawPort(given.port, machine.BAUD_RATE).close()
+        except errors.DriverError as error:
             raise node_support.StartupError(f"tactile_node: {error}") from error
-        self._lines = Log(self)
-        self._frame: TactileSample | None = None
-        self._power: PowerSample | None = None
-        self._frame_rate, self._power_rate = RateMeter(time.monotonic), RateMeter(time.monotonic)
+        self._lines = log.Log(self)
+        self._frame: protocol.TactileSample | None = None
+        self._power: protocol.PowerSample | None = None
+        self._frame_rate, self._power_rate = real_time.RateMeter(time.monotonic), real_time.RateMeter(time.monotonic)
         self._period = 1.0 / given.rate
         self._samples = SamplePublishers(self, LATEST, frames.named(END_EFFECTOR))
         self._batteries = BatteryPublishers(self, frames)
-        self._diagnostics = Diagnostics(self)
+        self._diagnostics = diagnostics.Diagnostics(self)
         self._taring = threading.Lock()  # one at a time
         # One callback group each: a client that calls one service without end does not block the others.
         for kind, name, serve in (
@@ -211,15 +203,15 @@ class TactileNode(Node):
             (SetContactor, "set_contactor", self._on_contactor),
         ):
             self.create_service(kind, name, serve, callback_group=ReentrantCallbackGroup(), qos_profile=SERVICE)
-        steady_timer(self, _DIAGNOSTICS_PERIOD, self._diagnose)
-        steady_timer(self, BATTERY_PERIOD, self._publish_batteries)
-        self._keeper = BoardKeeper(
+        clock.steady_timer(self, _DIAGNOSTICS_PERIOD, self._diagnose)
+        clock.steady_timer(self, BATTERY_PERIOD, self._publish_batteries)
+        self._keeper = keeper.BoardKeeper(
             given.port,
             given.rate,
             self._publish_frame,
             self._publish_power,
             self._report,
-            runtime.servos(domain(), self.get_namespace()),
+            runtime.servos(environment.domain(), self.get_namespace()),
         )
         self._keeper.start()
 
@@ -227,13 +219,13 @@ class TactileNode(Node):
         """Open the contactor and confirm it, stop the stream, release the port. Idempotent."""
         self._keeper.close()
 
-    def _publish_frame(self, sample: TactileSample) -> None:
+    def _publish_frame(self, sample: protocol.TactileSample) -> None:
         self._frame = sample
         self._frame_rate.count(late=time.monotonic() - sample.time > self._period)
         if self.context.ok():
             self._samples.frame(sample)
 
-    def _publish_power(self, sample: PowerSample) -> None:
+    def _publish_power(self, sample: protocol.PowerSample) -> None:
         self._power = sample
         self._power_rate.count()
         hello = self._keeper.link.greeting  # None: a report that overtook the greeting, of a stage not yet known
@@ -241,10 +233,10 @@ class TactileNode(Node):
             record = self._keeper.guard.probe_record()
             self._samples.power(sample, *record, (hello.steps_up, hello.stage_voltage))
 
-    def _fresh_power(self) -> PowerSample | None:
+    def _fresh_power(self) -> protocol.PowerSample | None:
         """Return the newest sample of the power stage; None if it is stale."""
         sample = self._power
-        return None if sample is None or time.monotonic() - sample.time > STALE_POWER else sample
+        return None if sample is None or time.monotonic() - sample.time > contactor.STALE_POWER else sample
 
     def _publish_batteries(self) -> None:
         if self.context.ok():
@@ -263,7 +255,7 @@ class TactileNode(Node):
 
         It is refused if it comes too late, unless it `opens`.
         """
-        problem, refusal = self._keeper.problem, "" if opens else late(order_age())
+        problem, refusal = self._keeper.problem, "" if opens else real_time.late(order_age())
         try:
             if problem or refusal:
                 response.success = False
@@ -271,7 +263,7 @@ class TactileNode(Node):
             else:
                 response.message = action()
                 response.success = True
-        except DriverError as error:
+        except errors.DriverError as error:
             response.success, response.message = False, str(error)
         return response
 
@@ -284,12 +276,12 @@ class TactileNode(Node):
         return self._served(response, tare)
 
     def _on_probe(self, request: Probe.Request, response: Probe.Response) -> Probe.Response:
-        unknown(response)
+        messages.unknown(response)
 
         def probe() -> str:
             result = self._keeper.guard.probe()
             response.resistance, response.target_voltage = result.resistance, result.target_voltage
-            port = port_of(result.resistance, result.target_voltage)
+            port = machine.port_of(result.resistance, result.target_voltage)
             response.port = int(port)
             return f"{port.name.lower()}: {result.resistance:.3g} ohm, {result.target_voltage:.2f} V"
 
@@ -304,7 +296,7 @@ class TactileNode(Node):
                 if request.clear_weld:
                     guard.clear_weld()
                 return "opened; no weld is latched" if request.clear_weld else "opened"
-            lasts = guard.close(request.holder, seconds(request.lease), request.token, limits_of(request))
+            lasts = guard.close(request.holder, messages.seconds(request.lease), request.token, limits_of(request))
             return f"closed for {lasts:.3f} s; renew it in time"
 
         return self._served(response, switch, opens=not request.close)
@@ -313,19 +305,19 @@ class TactileNode(Node):
         self._diagnostics.publish(self._link_status(), self._tactile_status(), self._power_status())
 
     def _status(self, part: str, problem: str, warning: str, values: dict[str, object]) -> DiagnosticStatus:
-        level = ERROR if problem else WARN if warning else OK
+        level = diagnostics.ERROR if problem else diagnostics.WARN if warning else diagnostics.OK
         return self._diagnostics.status(level, problem or warning or "OK", values, part, self._keeper.link.port)
 
     def _link_status(self) -> DiagnosticStatus:
         link = self._keeper.link
-        values = {**vars(link.decoder_counters), **vars(link.counters), "priority": priority()}
+        values = {**vars(link.decoder_counters), **vars(link.counters), "priority": real_time.priority()}
         damaged = link.decoder_counters.damaged
         warning = f"{damaged} damaged packets since start" if damaged else ""
         return self._status("board link", self._keeper.problem, warning, values)
 
     def _tactile_status(self) -> DiagnosticStatus:
         frame = self._frame
-        rate = quantity(self._frame_rate.rate(), ".1f", "Hz")
+        rate = texts.quantity(self._frame_rate.rate(), ".1f", "Hz")
         values: dict[str, object] = {"rate": rate, "late_frames": self._frame_rate.late}
         if frame is None or time.monotonic() - frame.time > STALE_FRAME:
             return self._status("tactile arrays", "no fresh frames; check the board's cable", "", values)
@@ -335,7 +327,7 @@ class TactileNode(Node):
 
     def _power_status(self) -> DiagnosticStatus:
         sample = self._fresh_power()
-        values = {"rate": quantity(self._power_rate.rate(), ".1f", "Hz"), **self._keeper.guard.lease_record()}
+        values = {"rate": texts.quantity(self._power_rate.rate(), ".1f", "Hz"), **self._keeper.guard.lease_record()}
         if sample is None:
             return self._status("power stage", "silent; check the board's cable", "", values)
         power = sample.power

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The arm's servos as one device: set-up, a snapshot per cycle, goals with current bounds, torque, reboot."""
 
-from __future__ import annotations
-
 import contextlib
 import enum
 import math
@@ -11,19 +9,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from deltacharger_core.machine import TICKS_PER_TURN
-from deltacharger_core.servo_types import MX_64, NAMES, TYPES, ServoType
-from deltacharger_driver.errors import (
-    MAYBE_SWAPPED,
-    CorruptReply,
-    DriverError,
-    HandshakeError,
-    NoAnswer,
-    PortGone,
-    RangeError,
-    ServoFault,
-)
-from deltacharger_driver.packets import sync_write_packet
+from deltacharger_core import machine, servo_types
+from deltacharger_driver import errors, packets
 from deltacharger_driver.servos import registers
 from deltacharger_driver.servos.link import ServoLink, ServoPort
 from deltacharger_driver.servos.registers import GAINS, REGISTERS, BusSettings, Drive
@@ -46,7 +33,7 @@ UNKNOWN = (math.nan,) * 5
 """Angle, velocity, current, voltage and temperature of a servo without a good reply."""
 
 
-def motion_registers(servo: ServoType) -> dict[str, int]:
+def motion_registers(servo: servo_types.ServoType) -> dict[str, int]:
     """Return the registers of a type that act on motion, beside the gains and what is demanded.
 
     Other software may have left any value. They are read, and written only if different, because EEPROM wears.
@@ -63,7 +50,7 @@ def motion_registers(servo: ServoType) -> dict[str, int]:
     }
 
 
-def _demanded(servo: ServoType, current_max: float) -> dict[str, tuple[int, int, str]]:
+def _demanded(servo: servo_types.ServoType, current_max: float) -> dict[str, tuple[int, int, str]]:
     """Return the EEPROM registers that are checked but never written: lowest and highest value, reason.
 
     They were set on purpose.
@@ -88,7 +75,7 @@ def _demanded(servo: ServoType, current_max: float) -> dict[str, tuple[int, int,
     }
 
 
-def set_up(link: ServoLink, settings: BusSettings, before: ServoType | None = None) -> Drive:
+def set_up(link: ServoLink, settings: BusSettings, before: servo_types.ServoType | None = None) -> Drive:
     """Identify every servo and configure the expected ones; their torque is off afterwards.
 
     Args:
@@ -106,12 +93,15 @@ def set_up(link: ServoLink, settings: BusSettings, before: ServoType | None = No
     """
     found = {servo: _identify(link, servo, _PINGS if before else _FIRST_PINGS) for servo in settings.ids}
     if not any(found.values()):
-        raise HandshakeError(
-            link.port, [f"no servo answers at {link.baud_rate} bit/s: check supply and cable, and {MAYBE_SWAPPED}"]
+        raise errors.HandshakeError(
+            link.port,
+            [f"no servo answers at {link.baud_rate} bit/s: check supply and cable, and {errors.MAYBE_SWAPPED}"],
         )
-    first, wanted = next(((servo, kind) for servo, kind in found.items() if isinstance(kind, ServoType)), (0, before))
+    first, wanted = next(
+        ((servo, kind) for servo, kind in found.items() if isinstance(kind, servo_types.ServoType)), (0, before)
+    )
     like = "as before: restart servo_node to use others" if before else f"as servo {first}: use servos of one type"
-    drive = settings.drive(before or wanted or MX_64)
+    drive = settings.drive(before or wanted or servo_types.MX_64)
     faults = []
     for servo, kind in found.items():
         if kind is None:
@@ -126,26 +116,26 @@ def set_up(link: ServoLink, settings: BusSettings, before: ServoType | None = No
         else:
             faults += configure(link, servo, drive)
     if faults:
-        raise HandshakeError(link.port, faults)
+        raise errors.HandshakeError(link.port, faults)
     return drive
 
 
-def _identify(link: ServoLink, servo: int, pings: int) -> ServoType | str | None:
+def _identify(link: ServoLink, servo: int, pings: int) -> servo_types.ServoType | str | None:
     """Return the type of a servo, or its fault; None if it does not answer."""
     try:
         model = link.ping(servo, pings)
-    except NoAnswer:
+    except errors.NoAnswer:
         return None
-    except CorruptReply:
+    except errors.CorruptReply:
         return f"servo {servo} sends garbled replies; look for two servos with this id, noise or a bad plug"
-    if model in TYPES:
-        return TYPES[model]
-    if any(model == each.model_protocol_1 for each in TYPES.values()):
+    if model in servo_types.TYPES:
+        return servo_types.TYPES[model]
+    if any(model == each.model_protocol_1 for each in servo_types.TYPES.values()):
         return f"servo {servo} has firmware for Protocol 1.0; {_UPDATE_ADVICE}"
-    return f"servo {servo} is model {model}, not {NAMES} with Protocol 2.0"
+    return f"servo {servo} is model {model}, not {servo_types.NAMES} with Protocol 2.0"
 
 
-def check_registers(link: ServoLink, servo: int, kind: ServoType, current_max: float) -> list[str]:
+def check_registers(link: ServoLink, servo: int, kind: servo_types.ServoType, current_max: float) -> list[str]:
     """Return the faults of the registers that the driver checks but never writes.
 
     Args:
@@ -199,9 +189,9 @@ def configure(link: ServoLink, servo: int, drive: Drive) -> list[str]:
         faults += check_registers(link, servo, drive.servo, drive.current_max)
         if not faults:
             _prepare(link, servo, drive, faults)
-    except PortGone:
+    except errors.PortGone:
         raise
-    except DriverError as error:
+    except errors.DriverError as error:
         faults.append(str(error))
     return faults
 
@@ -210,7 +200,7 @@ def _enable_replies(link: ServoLink, servo: int, faults: list[str]) -> None:
     """Make the servo confirm every write; at another status return level it may answer only pings."""
     try:
         level = link.read(servo, "status_return_level")
-    except NoAnswer:
+    except errors.NoAnswer:
         level = 0
     if level != 2:
         link.write_unanswered(servo, "status_return_level", 2)
@@ -230,7 +220,7 @@ def _prepare(link: ServoLink, servo: int, drive: Drive, faults: list[str]) -> No
             link.read_bytes(servo, registers.READ_ADDRESS, registers.READ_LENGTH, "read the block of the cycle"),
             drive.servo,
         )
-    except RangeError as error:
+    except errors.RangeError as error:
         faults.append(f"servo {servo}: {error}; restart it, and look for another program on its bus")
     else:
         _set(link, servo, "bus_watchdog", registers.WATCHDOG, faults)
@@ -255,7 +245,7 @@ def _attempt(action: Callable[[], None], faults: list[str]) -> bool:
     """Return whether the servo executed `action`; after a rejection the other registers are still tried."""
     try:
         action()
-    except ServoFault as fault:
+    except errors.ServoFault as fault:
         faults.append(str(fault))
         return False
     return True
@@ -382,8 +372,8 @@ class ServoBus:
         self._link = ServoLink(settings.port, settings.baud_rate, settings.reply_margin, handler)
         self.clock = self._link.clock
         self.counters = self._link.counters
-        self.drive = settings.drive(MX_64)
-        self._type: ServoType | None = None  # of the servos found at the first opening
+        self.drive = settings.drive(servo_types.MX_64)
+        self._type: servo_types.ServoType | None = None  # of the servos found at the first opening
         self._cycle = 0
         self._forget()
 
@@ -426,7 +416,7 @@ class ServoBus:
         """
         servo = self._servos[index]
         if faults := configure(self._link, servo.id, self.drive):
-            raise HandshakeError(self._link.port, faults)
+            raise errors.HandshakeError(self._link.port, faults)
         servo.has_restarted = servo.has_torque = servo.is_placed = False
         servo.missed = min(servo.missed, 1)  # ask it again in the next cycle
 
@@ -491,7 +481,7 @@ class ServoBus:
         rows = []
         for index, (servo, angle, current) in enumerate(zip(self.settings.ids, angles, currents, strict=True)):
             rows.append((servo, _WRITE_LAYOUT.pack(self._bound(current), self._ticks(index, angle))))
-        return sync_write_packet(registers.WRITE_ADDRESS, registers.WRITE_LENGTH, rows)
+        return packets.sync_write_packet(registers.WRITE_ADDRESS, registers.WRITE_LENGTH, rows)
 
     def enable_torque(self, currents: Sequence[float]) -> ServoReport:
         """Switch the torque of all servos on at their present position: goal := present position first.
@@ -511,12 +501,14 @@ class ServoBus:
         report = self.read()
         for servo in self._servos:
             if servo.missed:
-                raise NoAnswer(f"servo {servo.id}", "read before switching torque on", self.settings.reply_margin)
+                raise errors.NoAnswer(
+                    f"servo {servo.id}", "read before switching torque on", self.settings.reply_margin
+                )
             if bits := servo.hardware_error:
                 text = f"{registers.describe_hardware_error(bits)} latched; remove the cause, then reboot it"
-                raise ServoFault(servo.id, "switch torque on", text)
+                raise errors.ServoFault(servo.id, "switch torque on", text)
             if not servo.is_placed:
-                raise ServoFault(servo.id, "switch torque on", self._misplaced(servo.row[0]))
+                raise errors.ServoFault(servo.id, "switch torque on", self._misplaced(servo.row[0]))
         try:
             for index, servo in enumerate(self._servos):
                 restart_watchdog(self._link, servo.id)
@@ -525,8 +517,8 @@ class ServoBus:
                 self._link.write(servo.id, "torque_enable", 1)
             for servo in self._servos:
                 servo.has_torque = True
-        except DriverError:
-            with contextlib.suppress(DriverError):
+        except errors.DriverError:
+            with contextlib.suppress(errors.DriverError):
                 self.disable_torque()
             raise
         return report
@@ -540,9 +532,9 @@ class ServoBus:
         """
         register = REGISTERS["torque_enable"]
         off = [(servo, b"\0") for servo in self.settings.ids]
-        self._link.send(sync_write_packet(register.address, register.size, off))
+        self._link.send(packets.sync_write_packet(register.address, register.size, off))
         for servo in self._servos:
-            with contextlib.suppress(NoAnswer, CorruptReply, ServoFault):
+            with contextlib.suppress(errors.NoAnswer, errors.CorruptReply, errors.ServoFault):
                 self._link.write(servo.id, "torque_enable", 0, hurry=servo.missed > 0)
                 servo.has_torque = False
 
@@ -573,7 +565,7 @@ class ServoBus:
         servo, most = self.drive.servo, self.drive.current_max
         counts = registers.current_to_counts(current, servo) if current >= 0.0 else -1
         if not 0 <= counts <= registers.current_to_counts(most, servo):
-            raise RangeError("current bound", current, 0.0, most, " A")
+            raise errors.RangeError("current bound", current, 0.0, most, " A")
         return counts
 
     def _verify_goal(self, index: int, angle: float, current: float) -> None:
@@ -583,12 +575,12 @@ class ServoBus:
         self._link.write(servo, "goal_position", ticks)
         found = self._link.read(servo, "goal_position")
         if found != ticks:
-            raise ServoFault(servo, "switch torque on", f"goal position reads {found} after {ticks} was written")
+            raise errors.ServoFault(servo, "switch torque on", f"goal position reads {found} after {ticks} was written")
 
     def _ticks(self, index: int, angle: float) -> int:
         settings = self.settings
         ticks = registers.angle_to_ticks(angle, settings.zero_ticks[index], settings.direction[index])
-        return ticks + self._servos[index].turns * TICKS_PER_TURN
+        return ticks + self._servos[index].turns * machine.TICKS_PER_TURN
 
     def _place(self, index: int, ticks: int) -> float:
         """Return the arm's angle, rad. A servo that starts forgets whole turns: those are taken out that bring the arm
@@ -597,11 +589,11 @@ class ServoBus:
         settings, (low, high), servo = self.settings, self.settings.reach, self._servos[index]
 
         def angle(turns: int) -> float:
-            count = ticks - turns * TICKS_PER_TURN
+            count = ticks - turns * machine.TICKS_PER_TURN
             return registers.ticks_to_angle(count, settings.zero_ticks[index], settings.direction[index])
 
         if not servo.is_placed:
-            nearest = math.floor((ticks - settings.zero_ticks[index]) / TICKS_PER_TURN)
+            nearest = math.floor((ticks - settings.zero_ticks[index]) / machine.TICKS_PER_TURN)
             within = [turns for turns in (nearest, nearest + 1) if low <= angle(turns) <= high]
             servo.is_placed = len(within) == 1
             servo.turns = min((nearest, nearest + 1), key=lambda turns: abs(angle(turns) - 0.5 * (low + high)))
@@ -644,7 +636,7 @@ class ServoBus:
             return
         try:
             reading = registers.decode_block(data, self.drive.servo)
-        except RangeError:
+        except errors.RangeError:
             self.counters.implausible += 1
             return
         known.missed, known.seen, known.has_restarted = 0, now, False

@@ -6,8 +6,6 @@ cycle. Torque is switched on only by request, and every fault ends with torque o
 the contactor opens: electrodes that carry current must not separate.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import queue
@@ -16,14 +14,9 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict
 
-from deltacharger_core.real_time import late
-from deltacharger_core.servo_types import ServoType
-from deltacharger_core.texts import quantity
+from deltacharger_core import real_time, servo_types, texts
 from deltacharger_driver.errors import DriverError, PortError, PortGone, TrajectoryRefused
-from deltacharger_driver.servos.bus import ServoBus, ServoPhase, ServoReport
-from deltacharger_driver.servos.link import ServoPort
-from deltacharger_driver.servos.motion import HOLD, STOP_TIME, JointWatch, ServoGoals, Trajectory
-from deltacharger_driver.servos.registers import BusSettings, describe_hardware_error
+from deltacharger_driver.servos import bus, link, motion, registers
 
 _POLL_PERIOD = 0.005  # s between two checks of the contactor
 _REBOOT_TIME = 3.0  # s until all servos must be back
@@ -41,7 +34,7 @@ _SMOOTHING = 0.5  # s, time constant of the current in `reserve`; the heat uses 
 REST_TEMPERATURE = 25.0  # °C, where the heat is 0
 
 
-def reserve(heat: float, current: float, servo: ServoType) -> float:
+def reserve(heat: float, current: float, servo: servo_types.ServoType) -> float:
     """Return the time for which `current` may flow until the limit, s; 0 at the limit, inf if never reached.
 
     h(t) = i²τ + (h − i²τ) e^(−t/τ) = H, solved for t. An unknown current or heat (NaN) gives NaN.
@@ -80,7 +73,7 @@ class ThermalModel:
         servo: its type.
     """
 
-    def __init__(self, servo: ServoType) -> None:
+    def __init__(self, servo: servo_types.ServoType) -> None:
         self.heat = 0.0
         self._servo = servo
         self._square = math.nan
@@ -176,15 +169,15 @@ class ServoController:
 
     def __init__(
         self,
-        settings: BusSettings,
+        settings: registers.BusSettings,
         notify: Callable[[str, str], None] = lambda severity, sentence: None,
         contactor: Contactor | None = None,
-        handler: type[ServoPort] = ServoPort,
+        handler: type[link.ServoPort] = link.ServoPort,
     ) -> None:
-        self.phase = ServoPhase.DISCONNECTED
+        self.phase = bus.ServoPhase.DISCONNECTED
         self.stop_reason = self.unrequested_stop = ""
         self.watchdog_trips = self.reconnections = 0
-        self.bus = ServoBus(settings, handler)
+        self.bus = bus.ServoBus(settings, handler)
         self._clock = self.bus.clock
         self._ids = settings.ids
         self._notify = notify
@@ -197,7 +190,7 @@ class ServoController:
         self._reboot_until = self._reopen_at = 0.0
         self._lost = "not connected"  # why there is no port
         self._setup_error = ""
-        self._submitted: tuple[Trajectory, float] | None = None
+        self._submitted: tuple[motion.Trajectory, float] | None = None
         self._stop_at = math.inf
         self._trips: deque[float] = deque([-math.inf] * _TRIPS, maxlen=_TRIPS)
         self._heated_at = math.nan
@@ -207,8 +200,8 @@ class ServoController:
     def _use_type(self) -> None:
         """Begin anew, for servos of the bus's type."""
         self._drive, count = self.bus.drive, len(self._ids)
-        self._goals = ServoGoals(count, self._drive.current_bound, self._drive.torque_constant)
-        self._watch = JointWatch(self.bus.settings, self._drive)
+        self._goals = motion.ServoGoals(count, self._drive.current_bound, self._drive.torque_constant)
+        self._watch = motion.JointWatch(self.bus.settings, self._drive)
         self._thermal = [ThermalModel(self._drive.servo) for _ in range(count)]
 
     @property
@@ -230,14 +223,14 @@ class ServoController:
         self.bus.open()
         if self.bus.drive != self._drive:  # at the first opening their type becomes known
             self._use_type()
-        self.phase = ServoPhase.OFF
+        self.phase = bus.ServoPhase.OFF
 
     def close(self) -> None:
         """Switch torque off if it is on, and release the port. Never raises; safe to call twice.
 
         Waits at most `OPENING_TIME` for the contactor. If possible, first request "torque_off" and cycle until it is.
         """
-        if self.bus.is_open and self.phase in (ServoPhase.ON, ServoPhase.STOPPING):
+        if self.bus.is_open and self.phase in (bus.ServoPhase.ON, bus.ServoPhase.STOPPING):
             self._contactor.request_open()
             end = self._clock.now() + OPENING_TIME
             while not self._contactor.is_open() and self._clock.now() < end:
@@ -245,10 +238,10 @@ class ServoController:
             with contextlib.suppress(DriverError):
                 self.bus.disable_torque()
         self.bus.close()
-        self.phase = ServoPhase.DISCONNECTED
+        self.phase = bus.ServoPhase.DISCONNECTED
         self._refuse_all("the driver is closing")
 
-    def submit(self, trajectory: Trajectory, start: float = math.inf) -> None:
+    def submit(self, trajectory: motion.Trajectory, start: float = math.inf) -> None:
         """Replace the running trajectory in the next cycle.
 
         Args:
@@ -260,8 +253,8 @@ class ServoController:
             TrajectoryRefused: torque is off, the servos are being stopped, or its goals are faster than the joints.
         """
         with self._lock:
-            if self.phase is not ServoPhase.ON:
-                more = {ServoPhase.OFF: "; call set_torque first", ServoPhase.STOPPING: f": {self.stop_reason}"}
+            if self.phase is not bus.ServoPhase.ON:
+                more = {bus.ServoPhase.OFF: "; call set_torque first", bus.ServoPhase.STOPPING: f": {self.stop_reason}"}
                 raise TrajectoryRefused(self.phase.value + more.get(self.phase, ""))
             now = self._clock.now()
             self._goals.advance(now)
@@ -272,7 +265,7 @@ class ServoController:
     def freeze(self) -> None:
         """Stay at the present goal; call it only from the servos' thread."""
         if self._submitted is not None or self._goals.are_moving:
-            self._submitted = HOLD, math.inf
+            self._submitted = motion.HOLD, math.inf
 
     def request(self, action: str, age: float = 0.0) -> ServoRequest:
         """Request "torque_on", "torque_off" or "reboot"; the servos' thread executes it, or refuses it as too late.
@@ -287,32 +280,32 @@ class ServoController:
 
     def stop(self, reason: str) -> None:
         """Goal := present position, open contactor, torque off after `STOP_TIME`; call it from the servos' thread."""
-        if self.phase is ServoPhase.ON:
-            self._begin_stop(reason, STOP_TIME)
+        if self.phase is bus.ServoPhase.ON:
+            self._begin_stop(reason, motion.STOP_TIME)
             self.unrequested_stop = reason
             self._notify("error", f"stopping all servos: {reason}")
 
     def _begin_stop(self, reason: str, seconds: float) -> None:
         """Hold the present position, request an open contactor, and switch torque off after `seconds`."""
         with self._lock:
-            self.phase = ServoPhase.STOPPING
+            self.phase = bus.ServoPhase.STOPPING
             self._submitted = None
         self.stop_reason = reason
         self._stop_at = self._clock.now() + seconds
         self._goals.hold(self._report.angle)
         self._contactor.request_open()
 
-    def cycle(self) -> ServoReport:
+    def cycle(self) -> bus.ServoReport:
         """Run one bus cycle and return the state after it. Never raises `DriverError`."""
         try:
-            if self.phase is ServoPhase.DISCONNECTED:
+            if self.phase is bus.ServoPhase.DISCONNECTED:
                 self._reopen()
             self._serve_requests()
-            if self.phase is not ServoPhase.DISCONNECTED:
+            if self.phase is not bus.ServoPhase.DISCONNECTED:
                 self._exchange()
         except PortGone as error:
             self._disconnect(error)
-        if self.phase is ServoPhase.DISCONNECTED:
+        if self.phase is bus.ServoPhase.DISCONNECTED:
             self._report = self.bus.unknown()
         return self._report._replace(
             phase=self.phase,
@@ -323,22 +316,22 @@ class ServoController:
 
     def _exchange(self) -> None:
         """Send goals, read the state and react to it."""
-        if self.phase is ServoPhase.OFF:
+        if self.phase is bus.ServoPhase.OFF:
             self._take_report(self.bus.read())
         else:
             self._advance()
             self._take_report(self.bus.exchange(self._goals.angles, self._goals.bounds))
         self._check_watchdogs()
-        if self.phase is ServoPhase.ON:
+        if self.phase is bus.ServoPhase.ON:
             self._stop_on_faults()
-        elif self.phase is ServoPhase.STOPPING and self._may_switch_off():
+        elif self.phase is bus.ServoPhase.STOPPING and self._may_switch_off():
             self._switch_off()
-        elif self.phase is ServoPhase.OFF:
+        elif self.phase is bus.ServoPhase.OFF:
             self._keep_off()
-        if self.phase is ServoPhase.OFF:
+        if self.phase is bus.ServoPhase.OFF:
             self._configure_restarted()
 
-    def _take_report(self, report: ServoReport) -> None:
+    def _take_report(self, report: bus.ServoReport) -> None:
         """Store a cycle's report, and let its currents heat the windings."""
         elapsed = 0.0 if math.isnan(self._heated_at) else report.time - self._heated_at
         for model, current, temperature in zip(self._thermal, report.current, report.temperature, strict=True):
@@ -410,7 +403,7 @@ class ServoController:
         now = self._clock.now()
         with self._lock:
             submitted, self._submitted = self._submitted, None
-        if submitted is not None and self.phase is ServoPhase.ON:
+        if submitted is not None and self.phase is bus.ServoPhase.ON:
             self._goals.follow(*submitted, now)
         self._goals.advance(now)
 
@@ -418,7 +411,7 @@ class ServoController:
         tripped = [servo for servo, has in zip(self._ids, self._report.watchdog_tripped, strict=True) if has]
         if not tripped:
             return
-        if self.phase is ServoPhase.ON:
+        if self.phase is bus.ServoPhase.ON:
             self._resume_after_silence(f"the bus fell silent and servos {tripped} stopped by their watchdog")
         try:
             self.bus.restart_watchdogs()
@@ -438,7 +431,7 @@ class ServoController:
 
     def _faults(self) -> list[str]:
         """Return the faults that forbid moving, one sentence each."""
-        if self.phase is ServoPhase.DISCONNECTED:
+        if self.phase is bus.ServoPhase.DISCONNECTED:
             return [self._lost]
         found = []
         for index, servo in enumerate(self._ids):
@@ -447,7 +440,7 @@ class ServoController:
             elif self._report.missing[index]:
                 found.append(f"servo {servo} does not answer; check its supply and its cable")
             if bits := self._report.hardware_error[index]:
-                errors = describe_hardware_error(bits)
+                errors = registers.describe_hardware_error(bits)
                 found.append(f"servo {servo} has latched: {errors}; remove the cause, then call reboot_servos")
         return found
 
@@ -455,9 +448,9 @@ class ServoController:
         while not self._requests.empty():
             request = self._requests.get_nowait()
             try:
-                if refusal := late(self._clock.now() - request.sent):
+                if refusal := real_time.late(self._clock.now() - request.sent):
                     request.finish(False, refusal)
-                elif self.phase is ServoPhase.DISCONNECTED:
+                elif self.phase is bus.ServoPhase.DISCONNECTED:
                     request.finish(False, self._lost)
                 elif request.action == "torque_on":
                     self._switch_on(request)
@@ -471,10 +464,10 @@ class ServoController:
                     raise
 
     def _switch_on(self, request: ServoRequest) -> None:
-        if self.phase is ServoPhase.ON:
+        if self.phase is bus.ServoPhase.ON:
             request.finish(True, "torque is already on")
             return
-        if self.phase is ServoPhase.STOPPING:
+        if self.phase is bus.ServoPhase.STOPPING:
             request.finish(False, f"stopping: {self.stop_reason}")
             return
         faults = self._faults()
@@ -487,16 +480,16 @@ class ServoController:
         self.unrequested_stop = ""
         with self._lock:
             self._submitted = None
-            self.phase = ServoPhase.ON
+            self.phase = bus.ServoPhase.ON
         request.finish(True, "torque is on, holding the present position")
         self._notify("info", "torque on")
 
     def _switch_off_when_open(self, request: ServoRequest) -> None:
         """Switch torque off once the contactor is open, or after `OPENING_TIME`."""
         self._switching_off.append(request)
-        if self.phase is ServoPhase.ON:
+        if self.phase is bus.ServoPhase.ON:
             self._begin_stop("torque is being switched off on request", OPENING_TIME)
-        elif self.phase is ServoPhase.STOPPING:
+        elif self.phase is bus.ServoPhase.STOPPING:
             self._stop_at = min(self._stop_at, self._clock.now() + OPENING_TIME)
             self._contactor.request_open()
         else:
@@ -504,16 +497,16 @@ class ServoController:
 
     def _switch_off(self) -> None:
         with self._lock:
-            was, self.phase = self.phase, ServoPhase.OFF
+            was, self.phase = self.phase, bus.ServoPhase.OFF
             self._submitted = None
         self._stop_at = math.inf
-        unseen = was is ServoPhase.STOPPING and not self._contactor.is_open()
+        unseen = was is bus.ServoPhase.STOPPING and not self._contactor.is_open()
         try:
             self.bus.disable_torque()
         finally:
             if unseen:
                 self._notify("warning", "torque off; the contactor was not seen open before, check tactile_node")
-            elif was is not ServoPhase.OFF:
+            elif was is not bus.ServoPhase.OFF:
                 self._notify("info", "torque off")
         doubt = "; the contactor was not seen open before" if unseen else ""
         self._finish_switching_off(True, f"torque is off{doubt}")
@@ -525,7 +518,7 @@ class ServoController:
 
     def _reboot(self, request: ServoRequest) -> None:
         """Restart the servos with a latched error, or all if none has one; `request` is finished when they are back."""
-        if self.phase is not ServoPhase.OFF:
+        if self.phase is not bus.ServoPhase.OFF:
             request.finish(False, f"{self.phase.value}; call set_torque with false first")
         elif self._rebooting:
             request.finish(False, "the servos are already being rebooted")
@@ -553,11 +546,11 @@ class ServoController:
 
     def _disconnect(self, error: PortError) -> None:
         self.bus.close()
-        if self.phase in (ServoPhase.ON, ServoPhase.STOPPING):
+        if self.phase in (bus.ServoPhase.ON, bus.ServoPhase.STOPPING):
             self.unrequested_stop = str(error)
             self._contactor.request_open()
         with self._lock:
-            self.phase = ServoPhase.DISCONNECTED
+            self.phase = bus.ServoPhase.DISCONNECTED
             self._submitted = None
         self._lost, self._reopen_at = str(error), self._clock.now() + _REOPEN_EVERY
         self._refuse_all(str(error))
@@ -571,7 +564,7 @@ class ServoController:
 
 
 def bus_entry(
-    report: ServoReport, controller: ServoController, refused: str = ""
+    report: bus.ServoReport, controller: ServoController, refused: str = ""
 ) -> tuple[bytes, str, dict[str, object]]:
     """Return level, message and values of the bus for the diagnostics.
 
@@ -592,27 +585,27 @@ def bus_entry(
     }
     if report.faults:
         return ERROR, "; ".join(report.faults), values
-    if report.phase is ServoPhase.STOPPING:
+    if report.phase is bus.ServoPhase.STOPPING:
         return WARN if controller.is_releasing else ERROR, controller.stop_reason, values
     if refused:
         return WARN, refused, values
-    if report.phase is ServoPhase.OFF and controller.unrequested_stop:
+    if report.phase is bus.ServoPhase.OFF and controller.unrequested_stop:
         return WARN, f"torque off: {controller.unrequested_stop}", values
     return OK, report.phase.value, values
 
 
-def servo_entry(report: ServoReport, index: int, hot: float) -> tuple[bytes, str, dict[str, object]]:
+def servo_entry(report: bus.ServoReport, index: int, hot: float) -> tuple[bytes, str, dict[str, object]]:
     """Return level, message and values of one servo for the diagnostics; it switches itself off at `hot` °C."""
     temperature, reserve_left = report.temperature[index], report.thermal_reserve[index]
     values: dict[str, object] = {
-        "angle": quantity(report.angle[index], ".4f", "rad"),
-        "current": quantity(report.current[index], ".3f", "A"),
-        "voltage": quantity(report.voltage[index], ".1f", "V"),
-        "temperature": quantity(temperature, ".0f", "°C"),
-        "thermal_reserve": quantity(reserve_left, ".0f", "s"),
+        "angle": texts.quantity(report.angle[index], ".4f", "rad"),
+        "current": texts.quantity(report.current[index], ".3f", "A"),
+        "voltage": texts.quantity(report.voltage[index], ".1f", "V"),
+        "temperature": texts.quantity(temperature, ".0f", "°C"),
+        "thermal_reserve": texts.quantity(reserve_left, ".0f", "s"),
         "torque_enabled": report.torque_enabled[index],
     }
-    if errors := describe_hardware_error(report.hardware_error[index]):
+    if errors := registers.describe_hardware_error(report.hardware_error[index]):
         return ERROR, f"latched: {errors}", values
     if not report.valid[index]:
         return ERROR, "no good reply; check its supply and cable", values

@@ -6,8 +6,6 @@ wait without polling, survive an unplugged cable and unstuff rightly. What is se
 here.
 """
 
-from __future__ import annotations
-
 import struct
 import time
 from collections.abc import Sequence
@@ -17,23 +15,9 @@ from dynamixel_sdk.port_handler import PortHandler
 from dynamixel_sdk.protocol2_packet_handler import Protocol2PacketHandler
 from dynamixel_sdk.robotis_def import COMM_RX_TIMEOUT, COMM_SUCCESS
 
-from deltacharger_core.machine import BAUD_RATE
-from deltacharger_core.servo_types import SPEEDS
-from deltacharger_driver.errors import CorruptReply, DriverError, NoAnswer, PortGone, ServoFault
-from deltacharger_driver.packets import (
-    HEADER,
-    PING,
-    PLAIN,
-    READ,
-    REBOOT,
-    STATUS,
-    WRITE,
-    crc16,
-    instruction_packet,
-    sync_read_packet,
-)
-from deltacharger_driver.parameters import REPLY_MARGIN, STALL_MARGIN
-from deltacharger_driver.ports import USB_LATENCY, RawPort, latency_timer
+from deltacharger_core import machine, servo_types
+from deltacharger_driver import errors, packets, parameters, ports
+from deltacharger_driver.ports import USB_LATENCY
 from deltacharger_driver.servos.registers import ALERT, REGISTERS, describe_status_error
 
 PATIENCE = 0.1
@@ -59,13 +43,13 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         margin: reply margin of the next packets, s.
     """
 
-    def __init__(self, port: str, baud_rate: int = BAUD_RATE) -> None:
+    def __init__(self, port: str, baud_rate: int = machine.BAUD_RATE) -> None:
         super().__init__(port)
         self.is_open: bool = False
         self.baudrate = baud_rate
         self.latency = USB_LATENCY
         self.margin = PATIENCE
-        self._raw: RawPort | None = None
+        self._raw: ports.RawPort | None = None
         self._buffer = bytearray()
 
     def open(self) -> None:
@@ -75,14 +59,14 @@ class ServoPort(PortHandler):  # type: ignore[misc]
             PortMissing, PortNotSerial, PortBusy, PortDenied, PortError: it cannot be opened.
         """
         self._raw = self.open_raw(str(self.port_name), self.baudrate)
-        self.latency = latency_timer(self.port_name)
+        self.latency = ports.latency_timer(self.port_name)
         self.tx_time_per_byte = 10_000.0 / self.baudrate
         self.is_open = True
         self.clearPort()
 
-    def open_raw(self, path: str, baud_rate: int) -> RawPort:
+    def open_raw(self, path: str, baud_rate: int) -> ports.RawPort:
         """Open the bytes of a port."""
-        return RawPort(path, baud_rate)
+        return ports.RawPort(path, baud_rate)
 
     def closePort(self) -> None:  # noqa: N802
         """Release the port. Never raises."""
@@ -92,9 +76,9 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         self._buffer.clear()
         self.is_open = False
 
-    def _bytes(self) -> RawPort:
+    def _bytes(self) -> ports.RawPort:
         if self._raw is None:
-            raise PortGone(str(self.port_name), "it is closed")
+            raise errors.PortGone(str(self.port_name), "it is closed")
         return self._raw
 
     def clearPort(self) -> None:  # noqa: N802
@@ -226,7 +210,11 @@ class ServoLink:
     """
 
     def __init__(
-        self, port: str, baud_rate: int, reply_margin: float = REPLY_MARGIN, handler: type[ServoPort] = ServoPort
+        self,
+        port: str,
+        baud_rate: int,
+        reply_margin: float = parameters.REPLY_MARGIN,
+        handler: type[ServoPort] = ServoPort,
     ) -> None:
         self.port = port
         self.baud_rate = baud_rate
@@ -247,9 +235,11 @@ class ServoLink:
         Raises:
             PortMissing, PortBusy, PortDenied, PortError: it cannot be opened.
         """
-        if self.baud_rate not in SPEEDS.values():
-            speeds = ", ".join(map(str, SPEEDS.values()))
-            raise DriverError(f"{self.port}: servos have no speed of {self.baud_rate} bit/s; give one of {speeds}")
+        if self.baud_rate not in servo_types.SPEEDS.values():
+            speeds = ", ".join(map(str, servo_types.SPEEDS.values()))
+            raise errors.DriverError(
+                f"{self.port}: servos have no speed of {self.baud_rate} bit/s; give one of {speeds}"
+            )
         self._handler.open()
 
     def close(self) -> None:
@@ -268,7 +258,9 @@ class ServoLink:
             CorruptReply: replies arrive, but none is intact.
             PortGone: the port vanished.
         """
-        return int.from_bytes(self._ask(servo, "ping", instruction_packet(servo, PING), 3, attempts)[:2], "little")
+        return int.from_bytes(
+            self._ask(servo, "ping", packets.instruction_packet(servo, packets.PING), 3, attempts)[:2], "little"
+        )
 
     def read(self, servo: int, name: str, hurry: bool = False) -> int:
         """Return the register `name` of a servo.
@@ -288,7 +280,7 @@ class ServoLink:
 
     def read_bytes(self, servo: int, address: int, length: int, action: str = "", hurry: bool = False) -> bytes:
         """Return `length` bytes from `address` of a servo; errors as in `read`."""
-        packet = instruction_packet(servo, READ, struct.pack("<HH", address, length))
+        packet = packets.instruction_packet(servo, packets.READ, struct.pack("<HH", address, length))
         action = action or f"read {length} bytes at {address}"
         return self._ask(servo, action, packet, length, 1 if hurry else ATTEMPTS, hurry)
 
@@ -312,7 +304,7 @@ class ServoLink:
 
     def write_bytes(self, servo: int, address: int, data: bytes, action: str = "", hurry: bool = False) -> None:
         """Write `data` from `address` of a servo on; errors as in `write`."""
-        packet = instruction_packet(servo, WRITE, address.to_bytes(2, "little") + data)
+        packet = packets.instruction_packet(servo, packets.WRITE, address.to_bytes(2, "little") + data)
         self._ask(servo, action or f"write {len(data)} bytes at {address}", packet, 0, 1 if hurry else ATTEMPTS, hurry)
 
     def write_unanswered(self, servo: int, name: str, value: int) -> None:
@@ -323,7 +315,7 @@ class ServoLink:
         """
         register = REGISTERS[name]
         address = register.address.to_bytes(2, "little")
-        self.send(instruction_packet(servo, WRITE, address + register.to_bytes(value)))
+        self.send(packets.instruction_packet(servo, packets.WRITE, address + register.to_bytes(value)))
 
     def sync_read(
         self, servos: Sequence[int], address: int, length: int, ahead: bytes = b""
@@ -345,8 +337,8 @@ class ServoLink:
             PortGone: the port vanished.
         """
         replies: dict[int, tuple[int, bytes]] = {}
-        self._handler.margin = self._margin + (STALL_MARGIN if len(servos) > 1 else 0.0)
-        self.send(ahead + sync_read_packet(address, length, tuple(servos)))
+        self._handler.margin = self._margin + (parameters.STALL_MARGIN if len(servos) > 1 else 0.0)
+        self.send(ahead + packets.sync_read_packet(address, length, tuple(servos)))
         self._handler.setPacketTimeout((_SHORTEST + length) * len(servos))
         while len(replies) < len(servos):
             packet, result = self._receive()
@@ -358,7 +350,7 @@ class ServoLink:
                 break
         return replies
 
-    def send(self, packets: bytes) -> None:
+    def send(self, data: bytes) -> None:
         """Send whole packets in one write. First discard older bytes; after a failure, wait until the line is quiet.
 
         Raises:
@@ -368,7 +360,7 @@ class ServoLink:
             self._suspect = False
             self._handler.drain()
         self._handler.clearPort()
-        self._handler.writePort(packets)
+        self._handler.writePort(data)
 
     def reboot(self, servo: int) -> None:
         """Restart a servo: torque off, latched errors cleared, values outside EEPROM lost.
@@ -376,7 +368,7 @@ class ServoLink:
         Raises:
             NoAnswer, CorruptReply, ServoFault, PortGone: as in `write`, without a retry.
         """
-        self._ask(servo, "reboot", instruction_packet(servo, REBOOT), 0, 1)
+        self._ask(servo, "reboot", packets.instruction_packet(servo, packets.REBOOT), 0, 1)
 
     def _ask(self, servo: int, action: str, packet: bytes, expected: int, attempts: int, hurry: bool = False) -> bytes:
         """Send a packet and return the `expected` bytes of its answer; retry until the reply is good.
@@ -398,12 +390,12 @@ class ServoLink:
                 if attempt and expected:  # a late answer to an earlier attempt; more come. Writes are read back
                     port.drain(port.now() - began)
                 if (code := reply[_ERROR]) & ~ALERT:
-                    raise ServoFault(servo, action, describe_status_error(code))
+                    raise errors.ServoFault(servo, action, describe_status_error(code))
                 return bytes(reply[_PARAMETERS : _PARAMETERS + expected])
         device = f"servo {servo}"
         if result == COMM_RX_TIMEOUT:
-            raise NoAnswer(device, action, attempts * port.reply_timeout)
-        raise CorruptReply(device, action, self._receiver.getTxRxResult(result).removeprefix("[TxRxResult] "))
+            raise errors.NoAnswer(device, action, attempts * port.reply_timeout)
+        raise errors.CorruptReply(device, action, self._receiver.getTxRxResult(result).removeprefix("[TxRxResult] "))
 
     def _receive(self) -> tuple[Sequence[int], int]:
         """Receive one packet from any servo, and count errors; return it with the SDK's result."""
@@ -427,10 +419,14 @@ class ServoLink:
         """
         data = self._handler.received()
         end = _INSTRUCTION + int.from_bytes(data[_LENGTH:_INSTRUCTION], "little")
-        if len(data) < max(end, _SHORTEST) or not data.startswith(HEADER) or data[_INSTRUCTION] != STATUS:
+        if (
+            len(data) < max(end, _SHORTEST)
+            or not data.startswith(packets.HEADER)
+            or data[_INSTRUCTION] != packets.STATUS
+        ):
             return b""
         packet = bytes(data[:end])
-        if packet.find(PLAIN, _INSTRUCTION) >= 0 or crc16(packet[:-2]) != packet[-2] | packet[-1] << 8:
+        if packet.find(packets.PLAIN, _INSTRUCTION) >= 0 or packets.crc16(packet[:-2]) != packet[-2] | packet[-1] << 8:
             return b""
         self._handler.discard(end)
         return packet

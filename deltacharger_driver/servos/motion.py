@@ -14,12 +14,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
-from deltacharger_core.machine import (
-    STRAY_BEHIND,
-    STRAY_OUTSIDE,
-    STRAYS,
-)
-from deltacharger_core.real_time import AHEAD, COMPARE_CLOCKS
+from deltacharger_core import machine, real_time
 from deltacharger_driver.errors import TrajectoryRefused
 from deltacharger_driver.servos.registers import BusSettings, Drive
 
@@ -184,11 +179,11 @@ def check_age(age: float) -> None:
     """
     if age > STALE_AFTER:
         old = f"its stamp is {age:.2f} s old, more than {STALE_AFTER} s"
-        raise TrajectoryRefused(f"{old}: stamp it with the time of sending, or not at all; {COMPARE_CLOCKS}")
+        raise TrajectoryRefused(f"{old}: stamp it with the time of sending, or not at all; {real_time.COMPARE_CLOCKS}")
     if math.isnan(age):
         raise TrajectoryRefused("its stamp is before 1970; use the ROS clock, or no stamp")
     if age < -STALE_AFTER:
-        raise TrajectoryRefused(f"its stamp is {-age:.2f} s in the future; {COMPARE_CLOCKS}")
+        raise TrajectoryRefused(f"its stamp is {-age:.2f} s in the future; {real_time.COMPARE_CLOCKS}")
 
 
 def _order(names: Sequence[str], limits: JointLimits) -> list[int]:
@@ -408,14 +403,16 @@ class JointWatch:
         if not any(self.strays):
             return ""
         found = (
-            f"servo {servo} {STRAYS[why]}" for servo, why in zip(self._settings.ids, self.strays, strict=True) if why
+            f"servo {servo} {machine.STRAYS[why]}"
+            for servo, why in zip(self._settings.ids, self.strays, strict=True)
+            if why
         )
         return "; ".join(found)
 
     def _stray(self, index: int, goal: float, angle: float, rate: float, current: float) -> int:
         low, high = self._reach
         if angle < low or angle > high:
-            return STRAY_OUTSIDE
+            return machine.STRAY_OUTSIDE
         error = goal - angle
         stands, self._angles[index] = angle == self._angles[index], angle
         free, seconds, share = (_FREE_STANDING, _LASTS_STANDING, _DOUBT) if stands else (_FREE, _LASTS, 1.0)
@@ -425,7 +422,7 @@ class JointWatch:
         self._since[index] = min(self._since[index], self._at)
         self._readings[index] += 1
         lasts = self._at - self._since[index] >= seconds and self._readings[index] >= _FEWEST
-        return STRAY_BEHIND if lasts else 0
+        return machine.STRAY_BEHIND if lasts else 0
 
     def _explained(self, error: float, rate: float, current: float) -> float:
         """Return the error (rad) that torque and speed explain."""
@@ -501,7 +498,7 @@ class MotionGuard:
             now: s.
         """
         self._was_received = True
-        if age > FRESH or not (closed or age >= -AHEAD):  # a wrong stamp may stop the arm but never free it
+        if age > FRESH or not (closed or age >= -real_time.AHEAD):  # a wrong stamp may stop the arm but never free it
             return
         self._reports.pop(publisher, None)
         if len(self._reports) >= _PUBLISHERS:

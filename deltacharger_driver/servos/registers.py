@@ -5,8 +5,6 @@ Addresses and sizes are from the vendor's e-manual for MX-64(2.0); what differs 
 deltacharger_core/servo_types.py.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 import struct
@@ -15,8 +13,7 @@ from typing import NamedTuple
 
 from deltacharger_core import machine
 from deltacharger_core.servo_types import MX_64, ServoType
-from deltacharger_driver.errors import DriverError, RangeError
-from deltacharger_driver.parameters import REPLY_MARGIN
+from deltacharger_driver import errors, parameters
 
 TICK = 2.0 * math.pi / machine.TICKS_PER_TURN  # rad
 WATCHDOG_UNIT = 0.02  # s
@@ -111,7 +108,7 @@ class Register:
         bits = 8 * self.size
         low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if self.signed else (0, (1 << bits) - 1)
         if not low <= value <= high:
-            raise RangeError(f"register {self.address}", value, low, high)
+            raise errors.RangeError(f"register {self.address}", value, low, high)
         return value.to_bytes(self.size, "little", signed=self.signed)
 
     def from_bytes(self, data: bytes) -> int:
@@ -206,7 +203,7 @@ def angle_to_ticks(angle: float, zero_ticks: int, direction: int) -> int:
     """
     limit = machine.EXTENDED_TICKS * TICK
     if not -limit <= angle <= limit:
-        raise RangeError("angle", angle, -limit, limit, " rad")
+        raise errors.RangeError("angle", angle, -limit, limit, " rad")
     return zero_ticks + direction * round(angle / TICK)
 
 
@@ -223,7 +220,7 @@ def current_to_counts(current: float, servo: ServoType) -> int:
     """
     largest = servo.largest_current
     if not -largest <= current <= largest:
-        raise RangeError("current", current, -largest, largest, " A")
+        raise errors.RangeError("current", current, -largest, largest, " A")
     return int(current / servo.current_unit + math.copysign(1e-9, current))
 
 
@@ -268,7 +265,7 @@ class Drive:
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.current_max <= self.servo.largest_current:
-            raise RangeError("current_max", self.current_max, 0.0, self.servo.largest_current, " A")
+            raise errors.RangeError("current_max", self.current_max, 0.0, self.servo.largest_current, " A")
 
     @property
     def current_bound(self) -> float:
@@ -296,7 +293,7 @@ class BusSettings:
     ids: tuple[int, ...] = machine.SERVO_IDS
     zero_ticks: tuple[int, ...] = (2048, 2048, 2048)
     direction: tuple[int, ...] = (1, 1, 1)
-    reply_margin: float = REPLY_MARGIN
+    reply_margin: float = parameters.REPLY_MARGIN
     torque_constant: float | None = None
     current_max: float | None = None
     gains: tuple[int | None, ...] = (None, None)
@@ -311,12 +308,12 @@ class BusSettings:
     def __post_init__(self) -> None:
         count = len(self.ids)
         if not count == len(set(self.ids)) == len(self.zero_ticks) == len(self.direction):
-            raise DriverError(
+            raise errors.DriverError(
                 f"ids {self.ids}, zero_ticks {self.zero_ticks} and direction {self.direction} must have one value per "
                 "servo, and no id twice"
             )
         if any(sign not in (1, -1) for sign in self.direction):
-            raise DriverError(f"direction {self.direction}: each value is 1 or -1")
+            raise errors.DriverError(f"direction {self.direction}: each value is 1 or -1")
 
     def drive(self, servo: ServoType) -> Drive:
         """Return the numbers for servos of a type.
@@ -360,17 +357,17 @@ def decode_block(data: bytes, servo: ServoType) -> Reading:
     torque, error, current, velocity, ticks, voltage, temperature, watchdog, *constants = _READ_LAYOUT.unpack(data)
     for (name, expected), found in zip(CONSTANT_BLOCK.items(), constants, strict=True):
         if found != expected:
-            raise RangeError(name, found, expected, expected)
+            raise errors.RangeError(name, found, expected, expected)
     if torque > 1:
-        raise RangeError("torque_enable", torque, 0, 1)
+        raise errors.RangeError("torque_enable", torque, 0, 1)
     if not -CURRENT_SPAN <= current <= CURRENT_SPAN:
         span = CURRENT_SPAN * servo.current_unit
-        raise RangeError("present_current", current * servo.current_unit, -span, span, " A")
+        raise errors.RangeError("present_current", current * servo.current_unit, -span, span, " A")
     if not LOWEST_VOLTAGE <= voltage <= HIGHEST_VOLTAGE:
         low, high = LOWEST_VOLTAGE * servo.voltage_unit, HIGHEST_VOLTAGE * servo.voltage_unit
-        raise RangeError("input_voltage", voltage * servo.voltage_unit, low, high, " V")
+        raise errors.RangeError("input_voltage", voltage * servo.voltage_unit, low, high, " V")
     if temperature > HOTTEST:
-        raise RangeError("temperature", temperature, 0, HOTTEST, " °C")
+        raise errors.RangeError("temperature", temperature, 0, HOTTEST, " °C")
     if LONGEST_WATCHDOG < watchdog < WATCHDOG_TRIPPED:
-        raise RangeError("bus_watchdog", watchdog, 0, LONGEST_WATCHDOG)
+        raise errors.RangeError("bus_watchdog", watchdog, 0, LONGEST_WATCHDOG)
     return Reading(bool(torque), error, current, velocity, ticks, voltage, temperature, watchdog)

@@ -24,8 +24,6 @@ it to close, only the sender that last moved the arm with the contactor open may
 continues.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import threading
@@ -45,29 +43,16 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from deltacharger_core import runtime
-from deltacharger_core.environment import domain
+from deltacharger_core import environment, machine, real_time, runtime, servo_types, texts
 from deltacharger_core.frames import CHARGER_BASE, JointFrameParameters
-from deltacharger_core.machine import BEHIND_BOARD, JOINTS, PROBE_LIFETIME, ZERO_CURRENT
-from deltacharger_core.real_time import AHEAD, RateMeter
-from deltacharger_core.ros import node_support
+from deltacharger_core.ros import diagnostics, executor, log, messages, node_support, parameters
 from deltacharger_core.ros.clock import Stamps, stamp_age
-from deltacharger_core.ros.diagnostics import Diagnostics
-from deltacharger_core.ros.executor import order_age
-from deltacharger_core.ros.log import Log
-from deltacharger_core.ros.messages import seconds
 from deltacharger_core.ros.on_demand import BoundedTopic
-from deltacharger_core.ros.parameters import declare_all, declare_with_servos, reject_unknown, show_values, was_given
 from deltacharger_core.ros.qos import LATEST, SERVICE
-from deltacharger_core.servo_types import MX_64
-from deltacharger_core.texts import quantity
 from deltacharger_driver.errors import DriverError, NoServosBehindBoard, TrajectoryRefused
 from deltacharger_driver.parameters import BOARD_MARGIN, OF_TYPE, SERVOS_FOLLOW, ServoNodeParameters
-from deltacharger_driver.servos import motion
-from deltacharger_driver.servos.bus import ServoPhase, ServoReport
+from deltacharger_driver.servos import bus, motion, registers
 from deltacharger_driver.servos.controller import Contactor, ServoController, bus_entry, servo_entry
-from deltacharger_driver.servos.motion import ContactorState, MotionGuard, Sender
-from deltacharger_driver.servos.registers import GAINS, BusSettings, Drive
 
 KEPT = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=64, reliability=ReliabilityPolicy.RELIABLE)
 """charger_power and joint_trajectory: read in every cycle, so that a flood from one sender does not hide the others."""
@@ -77,7 +62,7 @@ _LARGEST_POWER = 1024  # bytes of a charger_power; a valid one has 80
 LONGEST_SECRET = 64  # characters of header.frame_id
 _LARGEST = 128 * 1024  # bytes of a trajectory, and of all that one cycle reads; 1000 points have 112 000, read in 36 ms
 _LARGEST_HOLD = 512  # bytes of a trajectory without points
-_Line = tuple[Sender, int, int]
+_Line = tuple[motion.Sender, int, int]
 
 _DIAGNOSTICS_PERIOD = 1.0  # s
 _LATE = 0.5  # of a period; a cycle that begins later than this is late
@@ -100,7 +85,7 @@ class ContactorClient(Contactor):
     """
 
     def __init__(self, node: Node, clock: Callable[[], float] = time.monotonic) -> None:
-        self.guard = MotionGuard()
+        self.guard = motion.MotionGuard()
         self._clock = clock
         self._node = node
         self._client: Any = node.create_client(SetContactor, "set_contactor", qos_profile=SERVICE)
@@ -127,7 +112,7 @@ class ContactorClient(Contactor):
                 self._read_power()
         return self._open
 
-    def state(self) -> ContactorState:
+    def state(self) -> motion.ContactorState:
         """Return its known state."""
         with contextlib.suppress(RuntimeError):  # ROS is shutting down
             self._read_power()
@@ -151,12 +136,16 @@ class ContactorClient(Contactor):
             if power is None:
                 continue
             age = stamp_age(clock, power.header.stamp)
-            current = abs(power.charge_current) >= ZERO_CURRENT  # NaN = not measured: the contactor alone decides
+            current = (
+                abs(power.charge_current) >= machine.ZERO_CURRENT
+            )  # NaN = not measured: the contactor alone decides
             live = power.contactor_closed or current or power.fault == ChargerPower.FAULT_CONTACTOR_WELDED
-            opened |= not live and now - age > self._requested_at and age >= -AHEAD
-            armed = power.probe_age < PROBE_LIFETIME  # whatever it found: limits may allow a close on a dead port
+            opened |= not live and now - age > self._requested_at and age >= -real_time.AHEAD
+            armed = (
+                power.probe_age < machine.PROBE_LIFETIME
+            )  # whatever it found: limits may allow a close on a dead port
             self.guard.observe(each.publisher or self._nameless(live), live, armed, age, now)
-        self._open |= opened and self.guard.state(now, False) is not ContactorState.CLOSED
+        self._open |= opened and self.guard.state(now, False) is not motion.ContactorState.CLOSED
 
     def _nameless(self, live: bool) -> bytes:
         """Return an id if rclpy provides none: with several publishers, reports of open and live are kept apart."""
@@ -174,14 +163,14 @@ class StatePublishers:
     """
 
     def __init__(self, node: Node, qos: QoSProfile, frame_id: str, joint_prefix: str = "") -> None:
-        self._state = ServoState(name=list(JOINTS))
-        self._joint = JointState(name=[f"{joint_prefix}{name}" for name in JOINTS])
+        self._state = ServoState(name=list(machine.JOINTS))
+        self._joint = JointState(name=[f"{joint_prefix}{name}" for name in machine.JOINTS])
         self._state.header.frame_id = self._joint.header.frame_id = frame_id
         self._stamps = Stamps(node.get_clock())
         self._states = node.create_publisher(ServoState, "servo_state", qos)
         self._joints = node.create_publisher(JointState, "joint_states", 10)
 
-    def publish(self, report: ServoReport, torque_constant: float) -> None:
+    def publish(self, report: bus.ServoReport, torque_constant: float) -> None:
         """Publish the state after a cycle; joint_states only if all angles are known and it has subscribers.
 
         Its efforts are currents times `torque_constant` (N·m/A).
@@ -226,7 +215,7 @@ class TrajectoryInbox:
         self._topic = BoundedTopic(node, JointTrajectory, "joint_trajectory", KEPT)
         self._followed: _Line | None = None  # the line being followed
 
-    def serve(self, controller: ServoController, guard: MotionGuard, state: ContactorState) -> None:
+    def serve(self, controller: ServoController, guard: motion.MotionGuard, state: motion.ContactorState) -> None:
         """Pass the newest valid trajectory to the controller and refuse the newer ones.
 
         Args:
@@ -240,7 +229,7 @@ class TrajectoryInbox:
             if secret is None:
                 self._refuse(f"its header cannot be read, or its frame_id is longer than {LONGEST_SECRET} characters")
                 continue
-            sender = Sender(secret, received.publisher)
+            sender = motion.Sender(secret, received.publisher)
             allowed = guard.may_move(sender, state)
             size = len(received.data)
             if not allowed and size > _LARGEST_HOLD:
@@ -267,9 +256,9 @@ class TrajectoryInbox:
                 guard.record_move(sender, state)
             return
 
-    def _follow(self, controller: ServoController, message: Any, sender: Sender) -> None:
+    def _follow(self, controller: ServoController, message: Any, sender: motion.Sender) -> None:
         """Submit a trajectory or raise TrajectoryRefused."""
-        if controller.phase is not ServoPhase.ON:
+        if controller.phase is not bus.ServoPhase.ON:
             self._followed = None
         trajectory = motion.check(message.joint_names, [_waypoint(point) for point in message.points], self._limits)
         stamp = message.header.stamp
@@ -285,7 +274,7 @@ class TrajectoryInbox:
         """Return the age of a stamp on the node's clock, s; 0 if not set, NaN if invalid."""
         return stamp_age(self._node.get_clock(), stamp) if stamp.sec or stamp.nanosec else 0.0
 
-    def _forbid(self, state: ContactorState) -> None:
+    def _forbid(self, state: motion.ContactorState) -> None:
         self.forbidden += 1
         self._refuse(state.value)
 
@@ -295,7 +284,7 @@ class TrajectoryInbox:
 
 
 def _waypoint(point: JointTrajectoryPoint) -> motion.ServoWaypoint:
-    return motion.ServoWaypoint(seconds(point.time_from_start), point.positions, point.effort)
+    return motion.ServoWaypoint(messages.seconds(point.time_from_start), point.positions, point.effort)
 
 
 def _wait_for_board(port: Path) -> None:
@@ -322,22 +311,22 @@ class ServoNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("servo_node", **kwargs)
-        self._lines = Log(self)
+        self._lines = log.Log(self)
         self._contactor = ContactorClient(self)
-        frames = declare_all(self, JointFrameParameters)
-        given = declare_with_servos(self, ServoNodeParameters(), SERVOS_FOLLOW)
-        reject_unknown(self)
+        frames = parameters.declare_all(self, JointFrameParameters)
+        given = parameters.declare_with_servos(self, ServoNodeParameters(), SERVOS_FOLLOW)
+        parameters.reject_unknown(self)
         self._controller = self._configure(given)
         base = frames.named(CHARGER_BASE)
         self._states = StatePublishers(self, LATEST, base, frames.joint_prefix)
-        self._diagnostics = Diagnostics(self)
-        self._contactor_state = ContactorState.UNKNOWN
+        self._diagnostics = diagnostics.Diagnostics(self)
+        self._contactor_state = motion.ContactorState.UNKNOWN
         self._refused = 0  # refused trajectories that the diagnostics have reported
-        self._cycles = RateMeter(time.monotonic)
+        self._cycles = real_time.RateMeter(time.monotonic)
         self._stop = threading.Event()
         settings = self._controller.bus.settings
         try:
-            if given.port == BEHIND_BOARD:
+            if given.port == machine.BEHIND_BOARD:
                 _wait_for_board(Path(settings.port))
             self._controller.open()
         except DriverError as error:
@@ -349,7 +338,9 @@ class ServoNode(Node):
         self._tell_type(drive)
         # Only now: no trajectory may be accepted before the servos are known.
         largest = drive.current_max * drive.torque_constant * (1.0 + 1e-9)
-        self._inbox = TrajectoryInbox(self, motion.JointLimits(JOINTS, given.joint_min, given.joint_max, largest))
+        self._inbox = TrajectoryInbox(
+            self, motion.JointLimits(machine.JOINTS, given.joint_min, given.joint_max, largest)
+        )
         self._thread = threading.Thread(target=self._run, name="servo bus", daemon=True)
         self._thread.start()
         group = ReentrantCallbackGroup()
@@ -364,12 +355,12 @@ class ServoNode(Node):
     def _configure(self, given: ServoNodeParameters) -> ServoController:
         """Build the controller; parameters in `OF_TYPE` that nobody set are left to the servos' type."""
         measured = SERVOS_FOLLOW if self.get_parameter("servos_file").value else {}
-        self._unset = {name for name in OF_TYPE if name not in measured and not was_given(self, name)}
+        self._unset = {name for name in OF_TYPE if name not in measured and not parameters.was_given(self, name)}
         chosen = {name: None if name in self._unset else getattr(given, name) for name in OF_TYPE}
-        is_behind_board = given.port == BEHIND_BOARD
+        is_behind_board = given.port == machine.BEHIND_BOARD
         try:
-            settings = BusSettings(
-                str(runtime.servos(domain(), self.get_namespace())) if is_behind_board else given.port,
+            settings = registers.BusSettings(
+                str(runtime.servos(environment.domain(), self.get_namespace())) if is_behind_board else given.port,
                 given.baud_rate,
                 given.ids,
                 given.zero_ticks,
@@ -377,7 +368,7 @@ class ServoNode(Node):
                 reply_margin=given.reply_margin + BOARD_MARGIN * is_behind_board,
                 torque_constant=chosen["torque_constant"],
                 current_max=chosen["current_max"],
-                gains=tuple(chosen[name] for name in GAINS),
+                gains=tuple(chosen[name] for name in registers.GAINS),
                 joint_min=given.joint_min,
                 joint_max=given.joint_max,
             )
@@ -386,13 +377,13 @@ class ServoNode(Node):
         self._period = 1.0 / given.rate
         return ServoController(settings, self._log, contactor=self._contactor)
 
-    def _tell_type(self, drive: Drive) -> None:
+    def _tell_type(self, drive: registers.Drive) -> None:
         """Show what the servos' type decided in the parameters that nobody set, and in the log."""
         values = {"torque_constant": drive.torque_constant, "current_max": drive.current_max}
-        values |= dict(zip(GAINS, drive.gains, strict=True))
+        values |= dict(zip(registers.GAINS, drive.gains, strict=True))
         found = {name: value for name, value in values.items() if name in self._unset}
-        if drive.servo is not MX_64 and found:
-            show_values(self, found)
+        if drive.servo is not servo_types.MX_64 and found:
+            parameters.show_values(self, found)
             text = ", ".join(f"{name} {value:.4g}" for name, value in found.items())
             self._lines.info(f"the servos are {drive.servo.name}; by their type {text}")
 
@@ -411,7 +402,7 @@ class ServoNode(Node):
         controller = self._controller
         due = diagnosed = time.monotonic()
         while True:
-            closing, off = self._stop.is_set(), controller.phase in (ServoPhase.OFF, ServoPhase.DISCONNECTED)
+            closing, off = self._stop.is_set(), controller.phase in (bus.ServoPhase.OFF, bus.ServoPhase.DISCONNECTED)
             if closing and not off and not controller.is_releasing:
                 controller.request("torque_off")
             now = time.monotonic()
@@ -429,16 +420,16 @@ class ServoNode(Node):
             due = max(due + self._period, now)  # when late, skip missed cycles instead of catching up
             time.sleep(due - now)
 
-    def _publish_diagnostics(self, report: ServoReport) -> None:
+    def _publish_diagnostics(self, report: bus.ServoReport) -> None:
         controller = self._controller
-        if report.phase is not ServoPhase.ON:
+        if report.phase is not bus.ServoPhase.ON:
             self._contactor_state = self._contactor.state()
         inbox = self._inbox
         refused = inbox.last_refusal if inbox.refused > self._refused else ""
         self._refused = inbox.refused
         level, message, values = bus_entry(report, controller, refused)
         values |= {
-            "rate": quantity(self._cycles.rate(), ".1f", "Hz"),
+            "rate": texts.quantity(self._cycles.rate(), ".1f", "Hz"),
             "late_cycles": self._cycles.late,
             "contactor": self._contactor_state.name,
             "refused_trajectories": inbox.refused,
@@ -447,7 +438,7 @@ class ServoNode(Node):
         }
         settings, hot = controller.bus.settings, controller.bus.drive.servo.temperature_limit
         statuses = [self._diagnostics.status(level, message, values, "servo bus", settings.port)]
-        for index, (joint, servo) in enumerate(zip(JOINTS, settings.ids, strict=True)):
+        for index, (joint, servo) in enumerate(zip(machine.JOINTS, settings.ids, strict=True)):
             level, message, values = servo_entry(report, index, hot)
             values = {"joint": joint, "id": servo, **values}
             statuses.append(self._diagnostics.status(level, message, values, f"servo {servo}", settings.port))
@@ -456,12 +447,12 @@ class ServoNode(Node):
     def _take_trajectory(self) -> None:
         """Pass a received trajectory to the controller or refuse it; hold while the contactor is closed."""
         controller, inbox = self._controller, self._inbox
-        state = ContactorState.OPEN  # without torque every trajectory is refused
-        if controller.phase is ServoPhase.ON:
+        state = motion.ContactorState.OPEN  # without torque every trajectory is refused
+        if controller.phase is bus.ServoPhase.ON:
             self._contactor_state = state = self._contactor.state()
         before = inbox.refused
         inbox.serve(controller, self._contactor.guard, state)
-        if state is ContactorState.CLOSED:
+        if state is motion.ContactorState.CLOSED:
             controller.freeze()
         if inbox.refused > before and not self._stop.is_set():  # at shutdown the sender closes too
             self._lines.warning(inbox.last_refusal, pause=1.0)
@@ -477,7 +468,7 @@ class ServoNode(Node):
         if self._stop.is_set():
             response.success, response.message = False, "the driver is closing"
             return response
-        queued = self._controller.request(action, order_age())
+        queued = self._controller.request(action, executor.order_age())
         if queued.wait(_SERVICE_TIMEOUT):
             response.success, response.message = queued.success, queued.message
         else:

@@ -10,8 +10,6 @@ The model is `Delta.forward`. Its derivatives by the 18 numbers are central diff
 tolerance they have ten correct digits, so no second set of formulas is needed.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

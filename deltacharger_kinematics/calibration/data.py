@@ -21,9 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deltacharger_core.arrays import Array, Mask
-from deltacharger_core.files import FileRefused, append_text, read_bytes
-from deltacharger_core.machine import EXTENDED_TICKS, TICKS_PER_TURN
+from deltacharger_core import arrays, files, machine
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 
 Triple = tuple[int, int, int]
@@ -73,7 +71,7 @@ class Table:
     stated: dict[str, Triple]
     decimal_comma: bool
 
-    def column(self, name: str) -> Array:
+    def column(self, name: str) -> arrays.Array:
         """Return a column as numbers (n,).
 
         Raises:
@@ -81,7 +79,7 @@ class Table:
         """
         return np.array([self._number(row[name], name, line) for row, line in zip(self.rows, self.lines, strict=True)])
 
-    def columns(self, names: Sequence[str]) -> Array:
+    def columns(self, names: Sequence[str]) -> arrays.Array:
         """Return columns side by side (n, len(names)); errors as in `column`."""
         return np.stack([self.column(name) for name in names], axis=-1)
 
@@ -138,8 +136,8 @@ def read_table(path: str | Path, known: Sequence[str] = KNOWN, page: str = "docs
 
 def _decoded(path: Path) -> str:
     try:
-        content = read_bytes(path, LARGEST_FILE)
-    except FileRefused as error:
+        content = files.read_bytes(path, LARGEST_FILE)
+    except files.FileRefused as error:
         raise CalibrationError(f"{error.strerror}: give the measured poses only") from error
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise CalibrationError("the file is UTF-16: save it as 'CSV UTF-8'")
@@ -199,7 +197,7 @@ def _statement(comment: str, line: int) -> dict[str, Triple]:
     return {found[1]: (int(numbers[0]), int(numbers[1]), int(numbers[2]))}
 
 
-TICK = 2.0 * math.pi / TICKS_PER_TURN  # rad; encoder of the MX-64
+TICK = 2.0 * math.pi / machine.TICKS_PER_TURN  # rad; encoder of the MX-64
 
 
 @dataclass(frozen=True)
@@ -214,8 +212,10 @@ class Encoder:
     direction: Triple = (1, 1, 1)
 
     def __post_init__(self) -> None:
-        if len(self.zero_ticks) != 3 or any(abs(value) > EXTENDED_TICKS for value in self.zero_ticks):
-            raise CalibrationError(f"zero_ticks is {self.zero_ticks}: give three counts within ±{EXTENDED_TICKS}")
+        if len(self.zero_ticks) != 3 or any(abs(value) > machine.EXTENDED_TICKS for value in self.zero_ticks):
+            raise CalibrationError(
+                f"zero_ticks is {self.zero_ticks}: give three counts within ±{machine.EXTENDED_TICKS}"
+            )
         if len(self.direction) != 3 or any(value not in (1, -1) for value in self.direction):
             raise CalibrationError(f"direction is {self.direction}: give 1 or -1 for each of the three servos")
 
@@ -225,11 +225,11 @@ class Encoder:
         named = (("zero_ticks", self.zero_ticks), ("direction", self.direction))
         return "".join(f"# {name} {' '.join(map(str, values))}\n" for name, values in named)
 
-    def angles(self, ticks: Array) -> Array:
+    def angles(self, ticks: arrays.Array) -> arrays.Array:
         """Return the arm angles (..., 3) rad of encoder counts (..., 3)."""
         return np.asarray((ticks - np.array(self.zero_ticks)) * self.direction * TICK, dtype=np.float64)
 
-    def ticks(self, angles: Array) -> Array:
+    def ticks(self, angles: arrays.Array) -> arrays.Array:
         """Return the encoder counts (..., 3), not rounded, of arm angles (..., 3) rad."""
         return np.asarray(angles * self.direction / TICK + np.array(self.zero_ticks), dtype=np.float64)
 
@@ -247,9 +247,9 @@ class Measurements:
         encoder: conversion of ticks to angles; None = angles of another origin.
     """
 
-    positions: Array
-    angles: Array
-    held_out: Mask | None
+    positions: arrays.Array
+    angles: arrays.Array
+    held_out: arrays.Mask | None
     lines: tuple[int, ...]
     angle_stddev: float = 0.0
     encoder: Encoder | None = None
@@ -257,7 +257,7 @@ class Measurements:
     def __len__(self) -> int:
         return len(self.positions)
 
-    def subset(self, rows: Mask) -> Measurements:
+    def subset(self, rows: arrays.Mask) -> Measurements:
         """Return the rows selected by the mask `rows` (n,)."""
         return Measurements(
             self.positions[rows],
@@ -301,14 +301,14 @@ def _group(table: Table, groups: Sequence[tuple[str, ...]], what: str) -> tuple[
     return started[0]
 
 
-def _positions(table: Table) -> tuple[Array, float]:
+def _positions(table: Table) -> tuple[arrays.Array, float]:
     names = _group(table, tuple(POSITION_COLUMNS), "the measured positions")
     if not table.rows:
         raise CalibrationError("the file has a header and no rows")
     return table.columns(names), POSITION_COLUMNS[names]
 
 
-def _held_out(table: Table) -> Mask | None:
+def _held_out(table: Table) -> arrays.Mask | None:
     if HELD_OUT not in table.names:
         return None
     for row, line in zip(table.rows, table.lines, strict=True):
@@ -387,7 +387,7 @@ class PoseRecording:
         if Encoder(**table.stated) != encoder:
             raise CalibrationError(f"{path} was recorded with other zero ticks or directions: give a new file")
         self.done = {int(number) for number in table.column("pose")}
-        if not read_bytes(self._path, LARGEST_FILE).endswith(b"\n"):
+        if not files.read_bytes(self._path, LARGEST_FILE).endswith(b"\n"):
             self._write("\n")
 
     def append(self, pose: PlannedPose, ticks: Vector, position: Vector) -> None:
@@ -403,4 +403,4 @@ class PoseRecording:
         self.done.add(pose.number)
 
     def _write(self, text: str) -> None:
-        append_text(self._path, text)
+        files.append_text(self._path, text)

@@ -12,8 +12,6 @@ Interface to an arm whose servos are measured, and its readings at rest.
 The same procedure runs over ROS and in virtual time; each provides a `ServoArm`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -21,8 +19,7 @@ from typing import Protocol
 
 import numpy as np
 
-from deltacharger_core.arrays import Array
-from deltacharger_core.machine import GRAVITY, TORQUE_CONSTANT
+from deltacharger_core import arrays, machine
 from deltacharger_kinematics.calibration.data import TICK
 from deltacharger_kinematics.delta import Delta
 from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry, Vector
@@ -49,8 +46,8 @@ class ServoTask:
     """
 
     geometry: DeltaGeometry = field(default_factory=DeltaGeometry)
-    gravity: Vector = GRAVITY
-    torque_constant: float = TORQUE_CONSTANT
+    gravity: Vector = machine.GRAVITY
+    torque_constant: float = machine.TORQUE_CONSTANT
     weight_tolerance: float = WEIGHT_TOLERANCE
     seconds: float = 150.0
     seed: int = 0
@@ -60,8 +57,8 @@ class ServoTask:
 class ArmReadings:
     """Readings over some time, one per row: angles (n, 3) rad and signed currents (n, 3) A, as in servo_state."""
 
-    angles: Array
-    currents: Array
+    angles: arrays.Array
+    currents: arrays.Array
 
 
 class ServoArm(Protocol):
@@ -120,7 +117,7 @@ def at_rest(goals: Vector, readings: ArmReadings, directions: tuple[int, int, in
     )
 
 
-def _vector(row: Array) -> Vector:
+def _vector(row: arrays.Array) -> Vector:
     return float(row[0]), float(row[1]), float(row[2])
 
 
@@ -157,15 +154,15 @@ class ServoFit:
         loads: each servo's share of the weight, N·m, (n, 3).
     """
 
-    stiffness: Array
-    torque_constant: Array
-    friction: Array
+    stiffness: arrays.Array
+    torque_constant: arrays.Array
+    friction: arrays.Array
     weight: float
     friction_share: float
-    covariance: Array
-    current_residuals: Array
-    angle_residuals: Array
-    loads: Array
+    covariance: arrays.Array
+    current_residuals: arrays.Array
+    angle_residuals: arrays.Array
+    loads: arrays.Array
 
     @property
     def scatter(self) -> float:
@@ -173,7 +170,7 @@ class ServoFit:
         both = np.concatenate([self.current_residuals, self.angle_residuals])
         return float(np.sqrt(np.nanmean(both**2)))
 
-    def error(self, what: int) -> Array:
+    def error(self, what: int) -> arrays.Array:
         """Return the standard errors (3,) of STIFFNESS, CONSTANT or FRICTION, in its unit."""
         return np.asarray(np.sqrt(np.diag(self.covariance)[what : 3 * LIMB_COUNT : 3]))
 
@@ -190,7 +187,7 @@ class ServoFit:
         weights /= weights.sum()
         return float(weights @ values), float(np.sqrt(weights @ self.covariance[rows, rows] @ weights))
 
-    def own_error(self, what: int) -> Array:
+    def own_error(self, what: int) -> arrays.Array:
         """Return the standard errors (3,) for an exactly known weight, for comparing servos with each other."""
         rows = slice(what, 3 * LIMB_COUNT, 3)
         shared = self.covariance[rows, -1] ** 2 / self.covariance[-1, -1]
@@ -201,15 +198,15 @@ class ServoFit:
 class _Table:
     """The readings as arrays (n, 3)."""
 
-    loads: Array
-    signs: Array
-    currents: Array
-    current_errors: Array
-    errors: Array
-    turning: Array  # (n, 3, 3): derivative of each servo's load by each arm's angle, N·m/rad
+    loads: arrays.Array
+    signs: arrays.Array
+    currents: arrays.Array
+    current_errors: arrays.Array
+    errors: arrays.Array
+    turning: arrays.Array  # (n, 3, 3): derivative of each servo's load by each arm's angle, N·m/rad
 
 
-def loads_at(angles: Array, task: ServoTask) -> Array:
+def loads_at(angles: arrays.Array, task: ServoTask) -> arrays.Array:
     """Return each servo's share of the weight (n, 3) N·m at arm angles (n, 3) rad; NaN for impossible angles."""
     delta = Delta(task.geometry)
     return delta.holding_torque(delta.forward(angles).position, task.gravity)
@@ -253,7 +250,7 @@ def _table(readings: Sequence[StaticReading], task: ServoTask) -> _Table:
     )
 
 
-def _first_guess(table: _Table) -> Array:
+def _first_guess(table: _Table) -> arrays.Array:
     """Return a first estimate of all numbers by linear fits to each servo's readings."""
     numbers = [1.0] * (_WEIGHT + 1) + [0.0] * LIMB_COUNT + [_SHARE]
     for servo in range(LIMB_COUNT):
@@ -273,7 +270,7 @@ def _first_guess(table: _Table) -> Array:
     return np.array(numbers)
 
 
-def _linearise(numbers: Array, table: _Table, tolerance: float) -> tuple[Array, Array]:
+def _linearise(numbers: arrays.Array, table: _Table, tolerance: float) -> tuple[arrays.Array, arrays.Array]:
     """Return residuals (rows) in standard deviations and their slopes (rows, 14); the priors are last."""
     residuals, slopes = [], []
     weight, offsets = numbers[_WEIGHT], numbers[_WEIGHT + 1 : -1]
@@ -306,18 +303,20 @@ def _linearise(numbers: Array, table: _Table, tolerance: float) -> tuple[Array, 
     return np.concatenate(residuals), np.concatenate([*slopes, priors])
 
 
-def _torques(numbers: Array, servo: int, load: Array, sign: Array) -> tuple[Array, Array]:
+def _torques(
+    numbers: arrays.Array, servo: int, load: arrays.Array, sign: arrays.Array
+) -> tuple[arrays.Array, arrays.Array]:
     """Return the motor's torques (N·m) that hold `load` after turning in a direction, and their slope by the load."""
     unloaded = numbers[_WEIGHT] * load + sign * numbers[3 * servo + FRICTION]
     grip = 1.0 / (1.0 - sign * np.sign(unloaded) * _share(numbers))
     return unloaded * grip, grip
 
 
-def _share(numbers: Array) -> float:
+def _share(numbers: arrays.Array) -> float:
     return min(max(float(numbers[-1]), -0.9), 0.9)
 
 
-def _result(numbers: Array, table: _Table, task: ServoTask) -> ServoFit:
+def _result(numbers: arrays.Array, table: _Table, task: ServoTask) -> ServoFit:
     residuals, slopes = _linearise(numbers, table, task.weight_tolerance)
     logarithms = numbers[:_WEIGHT].reshape(LIMB_COUNT, 3)
     by_reading = np.full((2, *table.signs.shape), math.nan)
@@ -330,7 +329,7 @@ def _result(numbers: Array, table: _Table, task: ServoTask) -> ServoFit:
     rows = len(residuals) - _PRIORS
     scatter = float(np.sum(residuals[:rows] ** 2) / max(1, rows - _WEIGHT))
     information = slopes[:rows].T @ slopes[:rows] / max(1.0, scatter) + slopes[rows:].T @ slopes[rows:]
-    covariance: Array = np.asarray(np.linalg.inv(information)[: _WEIGHT + 1, : _WEIGHT + 1], dtype=float)
+    covariance: arrays.Array = np.asarray(np.linalg.inv(information)[: _WEIGHT + 1, : _WEIGHT + 1], dtype=float)
     stiffness, constant = np.exp(logarithms[:, STIFFNESS]), np.exp(logarithms[:, CONSTANT])
     units = np.append(np.stack([stiffness, constant, np.ones(LIMB_COUNT)], axis=-1).ravel(), 1.0)
     covariance *= np.outer(units, units)

@@ -1,30 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measures the servos of a free arm until the time is over, checks whether they are credible, builds their file."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from deltacharger_core.arrays import Array
-from deltacharger_core.machine import POSITION_D_GAIN, POSITION_P_GAIN, SERVO_STIFFNESS, TORQUE_CONSTANT
-from deltacharger_core.servo_types import MeasuredServos
-from deltacharger_kinematics.calibration.servo_fit import (
-    CONSTANT,
-    FRICTION,
-    STIFFNESS,
-    ServoArm,
-    ServoFit,
-    ServoTask,
-    StaticReading,
-    fit_servos,
-)
-from deltacharger_kinematics.calibration.servo_walk import ArmWalk, PosePlanner
-from deltacharger_kinematics.geometry import LIMB_COUNT
-from deltacharger_kinematics.swing import LEAST_DAMPING, SwingReading, Swung, fit_swing, surely_swings
+from deltacharger_core import arrays, machine, servo_types
+from deltacharger_kinematics import geometry, swing
+from deltacharger_kinematics.calibration import servo_fit, servo_walk
 
 _FIRST_TURN, _TURN = 0.12, 0.03  # rad, smallest rotation of a servo before and after its friction is known
 _ROUGH = 8  # readings between fits of the model
@@ -43,14 +28,14 @@ class MeasuredArm:
         seconds: duration of the measurement.
     """
 
-    readings: tuple[StaticReading, ...]
-    fit: ServoFit
-    swings: tuple[Swung, Swung, Swung]
+    readings: tuple[servo_fit.StaticReading, ...]
+    fit: servo_fit.ServoFit
+    swings: tuple[swing.Swung, swing.Swung, swing.Swung]
     seconds: float
 
 
 def measure_servos(
-    arm: ServoArm, task: ServoTask, progress: Callable[[float], None] = lambda share: None
+    arm: servo_fit.ServoArm, task: servo_fit.ServoTask, progress: Callable[[float], None] = lambda share: None
 ) -> MeasuredArm:
     """Measure the servos of an arm.
 
@@ -62,7 +47,11 @@ def measure_servos(
     Raises:
         ServoTrouble: the arm is blocked or does not come to rest, or the currents do not follow the weight.
     """
-    walk, planner, readings = ArmWalk(arm, task), PosePlanner(task), list[StaticReading]()
+    walk, planner, readings = (
+        servo_walk.ArmWalk(arm, task),
+        servo_walk.PosePlanner(task),
+        list[servo_fit.StaticReading](),
+    )
     angles = _begin(walk, planner)
     while walk.spent < task.seconds:
         progress(walk.spent / task.seconds)
@@ -75,25 +64,27 @@ def measure_servos(
         readings.append(reading)
         planner.learn(walk.loads(angles), reading.directions)
         if len(readings) % _ROUGH == 0:
-            walk.learn(fit_servos(readings, task))
-    fit = fit_servos(readings, task)
+            walk.learn(servo_fit.fit_servos(readings, task))
+    fit = servo_fit.fit_servos(readings, task)
     walk.learn(fit)
     swings = _swing(walk, planner, fit)
     progress(1.0)
     return MeasuredArm(tuple(readings), fit, swings, walk.spent)
 
 
-def _swing(walk: ArmWalk, planner: PosePlanner, fit: ServoFit) -> tuple[Swung, Swung, Swung]:
+def _swing(
+    walk: servo_walk.ArmWalk, planner: servo_walk.PosePlanner, fit: servo_fit.ServoFit
+) -> tuple[swing.Swung, swing.Swung, swing.Swung]:
     """Let the arm swing in the middle, forward and back."""
     walk.visit(planner.middle(walk.arm.read(0.1).angles[-1], walk.model))
-    turn = _SWING * float(fit.common(CONSTANT)[0] / fit.common(STIFFNESS)[0])
-    rows: list[SwingReading] = []
+    turn = _SWING * float(fit.common(servo_fit.CONSTANT)[0] / fit.common(servo_fit.STIFFNESS)[0])
+    rows: list[swing.SwingReading] = []
     for sign in (1.0, -1.0) * _SWINGS:
         rows += walk.swing(sign * turn)
-    return fit_swing(rows, float(fit.common(CONSTANT)[0]))
+    return swing.fit_swing(rows, float(fit.common(servo_fit.CONSTANT)[0]))
 
 
-def _begin(walk: ArmWalk, planner: PosePlanner) -> Array:
+def _begin(walk: servo_walk.ArmWalk, planner: servo_walk.PosePlanner) -> arrays.Array:
     """Estimate the stiffness roughly, and move to the middle."""
     reading = walk.rest()
     walk.look(reading)
@@ -103,14 +94,14 @@ def _begin(walk: ArmWalk, planner: PosePlanner) -> Array:
     return np.array(reading.angles)
 
 
-def _surely_turned(reading: StaticReading, before: Array) -> StaticReading:
+def _surely_turned(reading: servo_fit.StaticReading, before: arrays.Array) -> servo_fit.StaticReading:
     """Return a reading that counts only for the servos that turned in the planned direction."""
     turned = np.subtract(reading.angles, before) * reading.directions
     first, second, third = (
         direction if turn > _SURELY_TURNED and math.isfinite(turn) else 0
         for direction, turn in zip(reading.directions, turned, strict=True)
     )
-    return StaticReading(
+    return servo_fit.StaticReading(
         reading.goals, reading.angles, reading.currents, reading.current_errors, (first, second, third)
     )
 
@@ -131,8 +122,8 @@ _UNSURE = 0.15  # largest relative standard error of a stiffness
 class Gains:
     """Gains of the position loop during the measurement."""
 
-    p: int = POSITION_P_GAIN
-    d: int = POSITION_D_GAIN
+    p: int = machine.POSITION_P_GAIN
+    d: int = machine.POSITION_D_GAIN
 
 
 def doubts(measured: MeasuredArm, gains: Gains) -> list[str]:
@@ -140,7 +131,7 @@ def doubts(measured: MeasuredArm, gains: Gains) -> list[str]:
     return [*_of_the_weight(measured.fit), *_of_the_numbers(measured, gains), *_of_the_swings(measured, gains)]
 
 
-def _of_the_weight(fit: ServoFit) -> list[str]:
+def _of_the_weight(fit: servo_fit.ServoFit) -> list[str]:
     found = []
     if fit.scatter > UNEXPLAINED:
         found.append(
@@ -148,26 +139,26 @@ def _of_the_weight(fit: ServoFit) -> list[str]:
             "ticks explain; correct gravity of docking_node, remove the target, and check for a loose platform, rod or "
             "horn, a pulling cable and another geometry"
         )
-    mean = fit.common(CONSTANT)[0]
-    if abs(mean / TORQUE_CONSTANT - 1.0) > FAR_CONSTANT:
-        share = TORQUE_CONSTANT / mean
+    mean = fit.common(servo_fit.CONSTANT)[0]
+    if abs(mean / machine.TORQUE_CONSTANT - 1.0) > FAR_CONSTANT:
+        share = machine.TORQUE_CONSTANT / mean
         found.append(
-            f"the torque constant of {mean:.2f} N·m/A is far from the vendor's {TORQUE_CONSTANT:.2f}: probably the arm "
-            f"weighs {share:.2f} times platform_mass and rod_mass; weigh the end effector, or screw it on"
+            f"the torque constant of {mean:.2f} N·m/A is far from the vendor's {machine.TORQUE_CONSTANT:.2f}: probably "
+            f"the arm weighs {share:.2f} times platform_mass and rod_mass; weigh the end effector, or screw it on"
         )
     return found
 
 
 def _of_the_numbers(measured: MeasuredArm, gains: Gains) -> list[str]:
     fit, found = measured.fit, []
-    for servo, (value, error) in enumerate(zip(fit.stiffness, fit.error(STIFFNESS), strict=True)):
+    for servo, (value, error) in enumerate(zip(fit.stiffness, fit.error(servo_fit.STIFFNESS), strict=True)):
         if value + 2.0 * error < SOFTEST or value - 2.0 * error > STIFFEST:
-            better = max(1, round(gains.p * SERVO_STIFFNESS / value))
+            better = max(1, round(gains.p * machine.SERVO_STIFFNESS / value))
             found.append(
                 f"servo {servo + 1} has {value:.1f} N·m/rad, but docking was tested with {SOFTEST:g} to {STIFFEST:g}: "
                 f"set position_p_gain of servo_node to about {better}, and measure again"
             )
-    for servo, (value, error) in enumerate(zip(fit.stiffness, fit.error(STIFFNESS), strict=True)):
+    for servo, (value, error) in enumerate(zip(fit.stiffness, fit.error(servo_fit.STIFFNESS), strict=True)):
         if error > _UNSURE * value:
             found.append(
                 f"the stiffness of servo {servo + 1} has an error of {100 * error / value:.0f} %: give more --seconds, "
@@ -184,20 +175,24 @@ def _of_the_numbers(measured: MeasuredArm, gains: Gains) -> list[str]:
 
 def _of_the_swings(measured: MeasuredArm, gains: Gains) -> list[str]:
     return [
-        f"servo {number} swings: its damping is {each.damping:.2f} N·m·s/rad, below {LEAST_DAMPING}: raise "
+        f"servo {number} swings: its damping is {each.damping:.2f} N·m·s/rad, below {swing.LEAST_DAMPING}: raise "
         f"position_d_gain of servo_node ({gains.d}), and measure again"
         for number, each in enumerate(measured.swings, 1)
-        if surely_swings(each)
+        if swing.surely_swings(each)
     ]
 
 
 def differing(measured: MeasuredArm) -> list[str]:
     """Return as text which servos differ from the other two by more than errors explain, and how."""
     fit, found = measured.fit, []
-    for what, values in ((STIFFNESS, fit.stiffness), (CONSTANT, fit.torque_constant), (FRICTION, fit.friction)):
+    for what, values in (
+        (servo_fit.STIFFNESS, fit.stiffness),
+        (servo_fit.CONSTANT, fit.torque_constant),
+        (servo_fit.FRICTION, fit.friction),
+    ):
         errors = fit.own_error(what)
-        for servo in range(LIMB_COUNT):
-            others = [other for other in range(LIMB_COUNT) if other != servo]
+        for servo in range(geometry.LIMB_COUNT):
+            others = [other for other in range(geometry.LIMB_COUNT) if other != servo]
             mean, spread = float(values[others].mean()), float(np.hypot(*errors[others])) / 2.0
             alike = abs(values[others[0]] - values[others[1]]) <= 0.5 * abs(values[servo] - mean)
             sigmas = abs(values[servo] - mean) / math.hypot(errors[servo], spread)
@@ -209,14 +204,16 @@ def differing(measured: MeasuredArm) -> list[str]:
     return found
 
 
-def to_file(measured: MeasuredArm, gains: Gains) -> MeasuredServos:
+def to_file(measured: MeasuredArm, gains: Gains) -> servo_types.MeasuredServos:
     """Return the content of the servos file.
 
     Raises:
         ParameterError: a value lies outside the bounds of the nodes.
     """
-    stiffness, constant = (float(f"{measured.fit.common(what)[0]:.6g}") for what in (STIFFNESS, CONSTANT))
-    return MeasuredServos(stiffness, constant, gains.p, gains.d)
+    stiffness, constant = (
+        float(f"{measured.fit.common(what)[0]:.6g}") for what in (servo_fit.STIFFNESS, servo_fit.CONSTANT)
+    )
+    return servo_types.MeasuredServos(stiffness, constant, gains.p, gains.d)
 
 
 def figures(measured: MeasuredArm) -> dict[str, list[tuple[float, float]]]:
@@ -225,9 +222,9 @@ def figures(measured: MeasuredArm) -> dict[str, list[tuple[float, float]]]:
     found = {
         name: [*zip(values.tolist(), fit.error(what).tolist(), strict=True), fit.common(what)]
         for name, what, values in (
-            ("stiffness", STIFFNESS, fit.stiffness),
-            ("torque_constant", CONSTANT, fit.torque_constant),
-            ("friction", FRICTION, fit.friction),
+            ("stiffness", servo_fit.STIFFNESS, fit.stiffness),
+            ("torque_constant", servo_fit.CONSTANT, fit.torque_constant),
+            ("friction", servo_fit.FRICTION, fit.friction),
         )
     }
     return {**found, "damping": [(each.damping, each.damping_stddev) for each in measured.swings]}

@@ -7,8 +7,6 @@ Each connection carries one JSON object on one line each way. Requests: {"comman
 runs the charger may connect. Bytes and pauses are bounded on both sides, and clients do not wait for each other.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -16,9 +16,8 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from deltacharger_core.machine import JOINTS
-from deltacharger_core.parameters import Bounded, ParameterError, number, words
-from deltacharger_core.servo_types import SPEEDS
+from deltacharger_core import machine, parameters, servo_types
+from deltacharger_core.parameters import number, words
 from deltacharger_sim.circuit import TARGET_KINDS, usual_port
 
 if TYPE_CHECKING:
@@ -31,8 +30,8 @@ if TYPE_CHECKING:
 
 ONE, SOME = "one", "some"
 """Servos affected by a fault: one (default: the second), or several (default: all)."""
-SERVOS = len(JOINTS)
-_SPEEDS = {speed: value for value, speed in SPEEDS.items()}
+SERVOS = len(machine.JOINTS)
+_SPEEDS = {speed: value for value, speed in servo_types.SPEEDS.items()}
 _HARDWARE_ERRORS = {"voltage": 0, "overheating": 2, "encoder": 3, "shock": 4, "overload": 5}  # bits of the MX-64
 
 
@@ -249,7 +248,7 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Fault(Bounded):
+class Fault(parameters.Bounded):
     """One fault."""
 
     kind: str = words("", "one of " + ", ".join(KINDS))
@@ -263,12 +262,16 @@ class Fault(Bounded):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.kind not in KINDS:
-            raise ParameterError("kind", self.kind, f"unknown fault {self.kind!r}: give one of {', '.join(KINDS)}")
+            raise parameters.ParameterError(
+                "kind", self.kind, f"unknown fault {self.kind!r}: give one of {', '.join(KINDS)}"
+            )
         kind = KINDS[self.kind]
         if self.last and not kind.lasts:
-            raise ParameterError("last", self.last, f"{self.kind} is momentary: leave out its duration")
+            raise parameters.ParameterError("last", self.last, f"{self.kind} is momentary: leave out its duration")
         if self.servo and not kind.servo:
-            raise ParameterError("servo", self.servo, f"{self.kind} does not affect a single servo: leave out servo")
+            raise parameters.ParameterError(
+                "servo", self.servo, f"{self.kind} does not affect a single servo: leave out servo"
+            )
         self._check_amount(kind)
 
     def _check_amount(self, kind: Kind) -> None:
@@ -281,7 +284,7 @@ class Fault(Bounded):
         if not problem and self.kind == "servo_duplicate_id" and self.whom == self.how_much:
             problem = f"servo {self.whom} already has that id: give another amount or servo"
         if problem:
-            raise ParameterError("amount", self.amount, problem)
+            raise parameters.ParameterError("amount", self.amount, problem)
 
     @property
     def whom(self) -> int:

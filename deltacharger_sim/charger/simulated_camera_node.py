@@ -7,8 +7,6 @@ Parameters: pose of the target, assumed mount and its error, image and its defec
 It commands nothing. Without a target, the picture has neither plate nor electrodes.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import threading
@@ -25,18 +23,13 @@ from deltacharger_core.arrays import Array
 from deltacharger_core.frames import CAMERA, FrameParameters
 from deltacharger_core.ros import node_support
 from deltacharger_core.ros.parameters import declare_all, reject_unknown
-from deltacharger_kinematics.geometry import DeltaGeometry
-from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_kinematics import geometry, scalar
 from deltacharger_sim.charger.simulation import SimulatedCameraNodeParameters
-from deltacharger_vision.errors import VisionError
+from deltacharger_vision import errors, images, mount, terminal
 from deltacharger_vision.hand_eye.board import Board
-from deltacharger_vision.images import COLOR, DEPTH
-from deltacharger_vision.mount import Mount
-from deltacharger_vision.rendering.board_drawing import bracket, with_board
-from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
+from deltacharger_vision.rendering import board_drawing, camera
 from deltacharger_vision.rendering.scene import RenderedScene, charger_parts, draw_scene, shifted
 from deltacharger_vision.ros.messages import CameraPublishers
-from deltacharger_vision.terminal import turn
 
 _PAUSE = 0.05  # s between two checks for subscribers
 _ARM = 1.0  # s that an image waits for the arm's angles
@@ -49,8 +42,8 @@ def _mounted(given: SimulatedCameraNodeParameters, random: np.random.Generator) 
     Raises:
         VisionError: the mount is not a valid pose.
     """
-    pose = Mount.from_numbers(given.mount).pose
-    pose[:3, :3] = turn(given.mount_error * _TURNED * random.normal(size=3)) @ pose[:3, :3]
+    pose = mount.Mount.from_numbers(given.mount).pose
+    pose[:3, :3] = terminal.turn(given.mount_error * _TURNED * random.normal(size=3)) @ pose[:3, :3]
     pose[:3, 3] += given.mount_error * _MOVED * random.normal(size=3)
     return pose
 
@@ -72,13 +65,13 @@ class SimulatedCameraNode(Node):
         self._random = np.random.default_rng(given.seed)
         try:
             self._mount = _mounted(given, self._random)
-            self._target = Mount.from_numbers(given.target).pose
+            self._target = mount.Mount.from_numbers(given.target).pose
             self._scene = draw_scene(self._random, given.clutter, given.target_present)
-            self._camera = SimulatedCamera(OAK_D)
+            self._camera = camera.SimulatedCamera(camera.OAK_D)
             self._board = Board.named(given.board, Board.size) if given.board else None
-        except VisionError as error:
+        except errors.VisionError as error:
             raise node_support.StartupError(f"simulated_camera_node: {error}") from error
-        self._kinematics = ScalarDelta(DeltaGeometry())
+        self._kinematics = scalar.ScalarDelta(geometry.DeltaGeometry())
         self._angles: tuple[float, float, float] | None = None
         self._images = CameraPublishers(self, frames.named(CAMERA))
         self.looks = self.rendered = 0
@@ -113,8 +106,8 @@ class SimulatedCameraNode(Node):
 
     def _publish(self) -> None:
         """Publish the requested topics; renders depth only if it is requested."""
-        deep = self._images.wanted(DEPTH)
-        if not deep and not self._images.wanted(COLOR):
+        deep = self._images.wanted(images.DEPTH)
+        if not deep and not self._images.wanted(images.COLOR):
             self._images.info(self._camera.intrinsics)
             return
         taken = time.monotonic()
@@ -134,7 +127,9 @@ class SimulatedCameraNode(Node):
         scene = dataclasses.replace(self._scene, foreground=(*self._scene.foreground, *parts))
         if self._board is None:
             return scene
-        return with_board(scene, self._board, np.linalg.inv(self._mount) @ shifted(platform) @ bracket())
+        return board_drawing.with_board(
+            scene, self._board, np.linalg.inv(self._mount) @ shifted(platform) @ board_drawing.bracket()
+        )
 
     def _on_servo_state(self, message: ServoState) -> None:
         if len(message.position) == 3 and all(map(math.isfinite, message.position)):

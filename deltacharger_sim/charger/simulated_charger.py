@@ -17,9 +17,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from deltacharger_core import runtime
-from deltacharger_core.environment import domain
-from deltacharger_core.machine import BEHIND_BOARD
+from deltacharger_core import environment, machine, runtime
 from deltacharger_driver.ports import ByteDevice, PseudoTerminal
 from deltacharger_sim.charger.fault_channel import SOCKET, ControlServer, Registration, answer
 from deltacharger_sim.charger.faults import Faults, Hardware
@@ -78,7 +76,7 @@ class SimulatedCharger:
             servo_terminal = board_terminal if on_board else self._serve(servos, folder / _SERVO, opened)
             servos.line_speed = (lambda: board.servos.speed) if on_board else servo_terminal.speed
             self.board_port = board_terminal.path
-            self.servo_port = BEHIND_BOARD if on_board else servo_terminal.path
+            self.servo_port = machine.BEHIND_BOARD if on_board else servo_terminal.path
             hardware = Hardware(servos, board, servo_terminal, board_terminal, plant)
             self.faults = Faults(self._simulation.faults, hardware, time.monotonic)
             opened.callback(self.faults.close)
@@ -119,7 +117,7 @@ class SimulatedCharger:
     def _listen(self, faults: Faults, path: Path, opened: contextlib.ExitStack) -> None:
         control = ControlServer(path, lambda request: answer(faults, request))
         opened.callback(control.close)
-        name = runtime.charger(domain(), self._namespace)
+        name = runtime.charger(environment.domain(), self._namespace)
         try:
             opened.callback(Registration(name, path).remove)
         except OSError as error:  # the charger works even if it cannot be found by its domain

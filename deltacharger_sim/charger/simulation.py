@@ -1,15 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """A scene's settings of the simulated charger and its camera."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from deltacharger_core.files import given_path
-from deltacharger_core.machine import DOCK_DISTANCE
-from deltacharger_core.parameters import Bounded, choice, entries, flag, number, pose, words
+from deltacharger_core import files, machine, parameters
+from deltacharger_core.parameters import choice, entries, flag, number, words
 from deltacharger_kinematics.geometry import DeltaGeometry, load_geometry
 from deltacharger_sim.charger.faults import Fault
 from deltacharger_sim.pads import ContactSource
@@ -20,7 +17,7 @@ from deltacharger_vision.terminal import turn
 
 
 @dataclass(frozen=True)
-class Simulation(Bounded):
+class Simulation(parameters.Bounded):
     """The simulated charger that replaces the hardware."""
 
     seed: int = number(0, 0, 2**31 - 1, "", "random numbers of noise, jitter and faults")
@@ -36,7 +33,7 @@ class Simulation(Bounded):
         Raises:
             OSError, ValueError: the file cannot be read, or is invalid.
         """
-        return load_geometry(given_path(self.geometry_file)) if self.geometry_file else DeltaGeometry()
+        return load_geometry(files.given_path(self.geometry_file)) if self.geometry_file else DeltaGeometry()
 
     def build_world(self) -> World:
         """Return the world behind the ports, with its rig's pads."""
@@ -44,14 +41,18 @@ class Simulation(Bounded):
 
 
 @dataclass(frozen=True)
-class SimulatedCameraNodeParameters(Bounded):
+class SimulatedCameraNodeParameters(parameters.Bounded):
     """Poses of target and camera, and surroundings."""
 
     rate: float = number(10.0, 0.1, 120.0, "Hz", "images per second")
     seed: int = number(1, 0, 2**31 - 1, "", "surroundings, light, noise and the mount's error")
-    mount: tuple[float, ...] = pose(pose_numbers(Mount.default().pose), "assumed pose of the camera in charger_base")
+    mount: tuple[float, ...] = parameters.pose(
+        pose_numbers(Mount.default().pose), "assumed pose of the camera in charger_base"
+    )
     mount_error: float = number(0.0, 0.0, 20.0, "", "error of that pose, drawn per axis; 1 = 2 mm and 0.5 degrees rms")
-    target: tuple[float, ...] = pose((0.0, 0.0, DOCK_DISTANCE, 0.0, 0.0, 0.0, 1.0), "electrodes in charger_base")
+    target: tuple[float, ...] = parameters.pose(
+        (0.0, 0.0, machine.DOCK_DISTANCE, 0.0, 0.0, 0.0, 1.0), "electrodes in charger_base"
+    )
     target_present: bool = flag(True, "false = no target")
     clutter: int = number(0, 0, 100, "", "boxes around the target")
     board: str = words("", "calibration board on the platform, such as apriltag:36h11:0 of 40 mm; empty = none")

@@ -4,8 +4,6 @@
 Served on a `PseudoTerminal`, it behaves like a real board, except for the differences listed in docs/emulators.md.
 """
 
-from __future__ import annotations
-
 import math
 import threading
 from collections import Counter
@@ -15,37 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from deltacharger_core.machine import BAUD_RATE, COLUMNS, CONTACT_FORCE, ROWS
-from deltacharger_driver.board.protocol import (
-    CLEAR_WELD,
-    CLOSE,
-    DEFAULT_RATE,
-    FLAG_OVERRUN,
-    FLAG_TARED,
-    LIMIT,
-    LONGEST_SERVO,
-    MINOR,
-    OPEN,
-    POWER_RATE,
-    SERVO_MINOR,
-    U12,
-    Ack,
-    AckError,
-    Hello,
-    PacketError,
-    PacketType,
-    check_header,
-    decode_close,
-    decode_limit,
-    decode_ping,
-    decode_rate,
-    decode_servo,
-    decode_servo_speed,
-    encode_ack,
-    encode_hello,
-    encode_power,
-    encode_probe,
-    encode_samples,
-)
+from deltacharger_driver.board import protocol
 from deltacharger_driver.packets import VERSION, Packet, PacketDecoder, encode_packet
 from deltacharger_driver.ports import ByteDevice
 from deltacharger_sim.emulators.power import EmulatedPower, PowerPlant, StageParameters
@@ -60,9 +28,9 @@ SLOWEST_BUS, FASTEST_BUS = 9600, 4_500_000  # bit/s, range of SERVO_SPEED
 SLOWEST, FASTEST = 0.1, 1000.0  # Hz, range of RATE
 _BACKLOG = 16  # samplings kept until the next poll
 
-_UNACKNOWLEDGED = (PacketType.HEARTBEAT, PacketType.PING, PacketType.SERVO)
-_OF_SERVOS = (PacketType.SERVO, PacketType.SERVO_SPEED)
-_WITH_PAYLOAD = (PacketType.RATE, PacketType.CONTACTOR, PacketType.PING, *_OF_SERVOS)
+_UNACKNOWLEDGED = (protocol.PacketType.HEARTBEAT, protocol.PacketType.PING, protocol.PacketType.SERVO)
+_OF_SERVOS = (protocol.PacketType.SERVO, protocol.PacketType.SERVO_SPEED)
+_WITH_PAYLOAD = (protocol.PacketType.RATE, protocol.PacketType.CONTACTOR, protocol.PacketType.PING, *_OF_SERVOS)
 
 
 class PadPlant(Protocol):
@@ -105,23 +73,23 @@ class EmulatedPads:
         raw = self._read()
         return np.maximum(raw - self._baseline if self.tared else raw, 0.0)
 
-    def start_tare(self, now: float) -> AckError:
+    def start_tare(self, now: float) -> protocol.AckError:
         """Start a tare; DONE means that `poll_tare` will return the result."""
         if self.tare_due < math.inf or self._loaded(self._read()):
-            return AckError.NOT_NOW
+            return protocol.AckError.NOT_NOW
         self._tare_sum[:] = 0.0
         self._tare_live[:] = 0
         self._tare_count = 0
         self.tare_due = now
-        return AckError.DONE
+        return protocol.AckError.DONE
 
-    def poll_tare(self, now: float) -> AckError | None:
+    def poll_tare(self, now: float) -> protocol.AckError | None:
         """Take due samples; return the result of the tare, None while it runs."""
         while now >= self.tare_due:
             raw = self._read()
             if self._loaded(raw):
                 self.tare_due = math.inf
-                return AckError.NOT_NOW
+                return protocol.AckError.NOT_NOW
             self._tare_sum += np.nan_to_num(raw)
             self._tare_live += ~np.isnan(raw)
             self._tare_count += 1
@@ -130,7 +98,7 @@ class EmulatedPads:
                     self._baseline = self._tare_sum / self._tare_live  # 0 / 0 is NaN: dead in every sample
                 self.tared = True
                 self.tare_due = math.inf
-                return AckError.DONE
+                return protocol.AckError.DONE
             self.tare_due += TARE_PERIOD
         return None
 
@@ -183,7 +151,7 @@ class BoardServos:
     @property
     def minor(self) -> int:
         """Minor protocol version of a board with this bus."""
-        return MINOR if self._bus is None else SERVO_MINOR
+        return protocol.MINOR if self._bus is None else protocol.SERVO_MINOR
 
     def reset(self) -> None:
         """Discard received bytes, as a boot does."""
@@ -191,12 +159,12 @@ class BoardServos:
         self._host_has_sent = False
         self._received = b""
 
-    def set_speed(self, speed: int) -> AckError:
+    def set_speed(self, speed: int) -> protocol.AckError:
         """Set the speed, bit/s, if the board supports it."""
         if not SLOWEST_BUS <= speed <= FASTEST_BUS:
-            return AckError.BAD_PAYLOAD
+            return protocol.AckError.BAD_PAYLOAD
         self.speed, self._received = speed, b""
-        return AckError.DONE
+        return protocol.AckError.DONE
 
     def send(self, data: bytes, now: float) -> None:
         """Send bytes of the host to the servos."""
@@ -209,7 +177,7 @@ class BoardServos:
         if self._bus is not None:
             self._received += self._bus.poll(now)
         received, self._received = self._received if self._host_has_sent else b"", b""
-        return [received[at : at + LONGEST_SERVO] for at in range(0, len(received), LONGEST_SERVO)]
+        return [received[at : at + protocol.LONGEST_SERVO] for at in range(0, len(received), protocol.LONGEST_SERVO)]
 
     def next_event(self, now: float) -> float:
         """Return the seconds until `take` returns bytes; inf for never."""
@@ -320,11 +288,11 @@ class BoardEmulator:
         self._running_from = math.inf
         self._booted_at = now
         self._boot_id = int(self._random.integers(1, 2**32))
-        self._rate = DEFAULT_RATE
+        self._rate = protocol.DEFAULT_RATE
         self._sequences = Counter[int]()
         self._overrun = False
         self._next_sample = math.inf
-        self._next_power = now + 1.0 / POWER_RATE
+        self._next_power = now + 1.0 / protocol.POWER_RATE
         self._probe_sequence = self._tare_sequence = 0
         self._decoder = PacketDecoder()
         self._pads.reset()
@@ -345,25 +313,25 @@ class BoardEmulator:
         self._finish(now)
         self._stream(now)
         if now >= self._next_power:
-            missed = math.floor((now - self._next_power) * POWER_RATE)
-            self._next_power += (missed + 1) / POWER_RATE
-            self._queue(PacketType.POWER, now, encode_power(self._power.report()))
+            missed = math.floor((now - self._next_power) * protocol.POWER_RATE)
+            self._next_power += (missed + 1) / protocol.POWER_RATE
+            self._queue(protocol.PacketType.POWER, now, protocol.encode_power(self._power.report()))
         for data in self.servos.take(now):
-            self._queue(PacketType.SERVO, now, data)
+            self._queue(protocol.PacketType.SERVO, now, data)
         return True
 
     def _finish(self, now: float) -> None:
         """Answer the probe and the tare if they have ended."""
         if self._power.probe_aborted:
             self._power.probe_aborted = False
-            self._acknowledge(PacketType.PROBE, self._probe_sequence, AckError.NOT_NOW, now)
+            self._acknowledge(protocol.PacketType.PROBE, self._probe_sequence, protocol.AckError.NOT_NOW, now)
         result = self._power.poll_probe(now)
         if result is not None:
-            data = encode_probe(*result)
-            self._acknowledge(PacketType.PROBE, self._probe_sequence, AckError.DONE, now, data)
+            data = protocol.encode_probe(*result)
+            self._acknowledge(protocol.PacketType.PROBE, self._probe_sequence, protocol.AckError.DONE, now, data)
         tare = self._pads.poll_tare(now)
         if tare is not None:
-            self._acknowledge(PacketType.TARE, self._tare_sequence, tare, now)
+            self._acknowledge(protocol.PacketType.TARE, self._tare_sequence, tare, now)
 
     def _stream(self, now: float) -> None:
         """Send every due sampling; sampling continues even if the host polls slowly."""
@@ -372,44 +340,44 @@ class BoardEmulator:
         if behind >= _BACKLOG:
             lost = behind - _BACKLOG + 1
             self._next_sample += lost * period
-            self._sequences[PacketType.TACTILE] = (self._sequences[PacketType.TACTILE] + lost) % 65536
+            self._sequences[protocol.PacketType.TACTILE] = (self._sequences[protocol.PacketType.TACTILE] + lost) % 65536
             self._overrun = True
         while now >= self._next_sample:
             left, right = self._pads.sample()
-            flags = FLAG_TARED * self._pads.tared | FLAG_OVERRUN * self._overrun
-            payload = encode_samples(left, right)
-            self._queue(PacketType.TACTILE, self._next_sample, payload, flags, U12)
+            flags = protocol.FLAG_TARED * self._pads.tared | protocol.FLAG_OVERRUN * self._overrun
+            payload = protocol.encode_samples(left, right)
+            self._queue(protocol.PacketType.TACTILE, self._next_sample, payload, flags, protocol.U12)
             self._overrun = False
             self._next_sample += period
 
-    def _queue(self, type: PacketType, time: float, payload: bytes, flags: int = 0, format: int = 0) -> None:
+    def _queue(self, type: protocol.PacketType, time: float, payload: bytes, flags: int = 0, format: int = 0) -> None:
         sequence = self._sequences[type]
         self._sequences[type] = (sequence + 1) % 65536
         device_time = max(round((time - self._booted_at) * 1e6), 0)
         wire = encode_packet(Packet(type, payload, sequence, device_time, flags, format))
         self._out.append(self.faults.apply(wire, type))
 
-    def _acknowledge(self, type: int, sequence: int, error: AckError, now: float, data: bytes = b"") -> None:
-        self._queue(PacketType.ACK, now, encode_ack(Ack(type, error, sequence, data)))
+    def _acknowledge(self, type: int, sequence: int, error: protocol.AckError, now: float, data: bytes = b"") -> None:
+        self._queue(protocol.PacketType.ACK, now, protocol.encode_ack(protocol.Ack(type, error, sequence, data)))
 
     def _send_hello(self, now: float) -> None:
         stage = self._power.parameters
         known = VERSION, self.servos.minor, ROWS, COLUMNS, self._boot_id, self._rate
-        hello = Hello(*known, stage.steps_up, stage.stage_voltage or math.nan)
-        self._queue(PacketType.HELLO, now, encode_hello(hello))
+        hello = protocol.Hello(*known, stage.steps_up, stage.stage_voltage or math.nan)
+        self._queue(protocol.PacketType.HELLO, now, protocol.encode_hello(hello))
 
     def _execute(self, packet: Packet, now: float) -> None:
         command = _COMMANDS.get(packet.type)
         if command is None or (packet.type in _OF_SERVOS and not self.servos):
-            self._acknowledge(packet.type, packet.sequence, AckError.UNKNOWN, now)
+            self._acknowledge(packet.type, packet.sequence, protocol.AckError.UNKNOWN, now)
             return
         try:
-            check_header(packet)
+            protocol.check_header(packet)
             if packet.payload and packet.type not in _WITH_PAYLOAD:
-                raise PacketError(packet.type, f"{len(packet.payload)} bytes instead of none")
-            error: AckError | None = getattr(self, command)(packet, now)
-        except PacketError:
-            error = AckError.BAD_PAYLOAD
+                raise protocol.PacketError(packet.type, f"{len(packet.payload)} bytes instead of none")
+            error: protocol.AckError | None = getattr(self, command)(packet, now)
+        except protocol.PacketError:
+            error = protocol.AckError.BAD_PAYLOAD
         if error is not None and packet.type not in _UNACKNOWLEDGED:
             self._acknowledge(packet.type, packet.sequence, error, now)
 
@@ -417,73 +385,73 @@ class BoardEmulator:
         self._power.heartbeat(now)
 
     def _ping(self, packet: Packet, now: float) -> None:
-        self._queue(PacketType.PING, now, decode_ping(packet.payload))
+        self._queue(protocol.PacketType.PING, now, protocol.decode_ping(packet.payload))
 
-    def _hello(self, packet: Packet, now: float) -> AckError:
+    def _hello(self, packet: Packet, now: float) -> protocol.AckError:
         self._send_hello(now)
-        return AckError.DONE
+        return protocol.AckError.DONE
 
-    def _start(self, packet: Packet, now: float) -> AckError:
+    def _start(self, packet: Packet, now: float) -> protocol.AckError:
         if self._next_sample == math.inf:
             self._next_sample = now
-        return AckError.DONE
+        return protocol.AckError.DONE
 
-    def _stop(self, packet: Packet, now: float) -> AckError:
+    def _stop(self, packet: Packet, now: float) -> protocol.AckError:
         self._next_sample = math.inf
-        return AckError.DONE
+        return protocol.AckError.DONE
 
-    def _tare(self, packet: Packet, now: float) -> AckError | None:
+    def _tare(self, packet: Packet, now: float) -> protocol.AckError | None:
         error = self._pads.start_tare(now)
-        if error is AckError.DONE:
+        if error is protocol.AckError.DONE:
             self._tare_sequence = packet.sequence
             return None
         return error
 
-    def _set_rate(self, packet: Packet, now: float) -> AckError:
-        rate = decode_rate(packet.payload)
+    def _set_rate(self, packet: Packet, now: float) -> protocol.AckError:
+        rate = protocol.decode_rate(packet.payload)
         if not SLOWEST <= rate <= FASTEST:  # also refuses NaN
-            return AckError.BAD_PAYLOAD
+            return protocol.AckError.BAD_PAYLOAD
         self._rate = rate
         if self._next_sample < math.inf:
             self._next_sample = now + 1.0 / rate
-        return AckError.DONE
+        return protocol.AckError.DONE
 
-    def _contactor(self, packet: Packet, now: float) -> AckError:
-        if packet.payload[:1] == bytes([CLOSE]):
-            return self._power.close(decode_close(packet.payload), now)
-        if packet.payload[:1] == bytes([LIMIT]):
-            return self._power.limit(decode_limit(packet.payload))
-        if packet.payload == bytes([CLEAR_WELD]):
+    def _contactor(self, packet: Packet, now: float) -> protocol.AckError:
+        if packet.payload[:1] == bytes([protocol.CLOSE]):
+            return self._power.close(protocol.decode_close(packet.payload), now)
+        if packet.payload[:1] == bytes([protocol.LIMIT]):
+            return self._power.limit(protocol.decode_limit(packet.payload))
+        if packet.payload == bytes([protocol.CLEAR_WELD]):
             return self._power.clear_weld()
-        if packet.payload != bytes([OPEN]):
-            return AckError.BAD_PAYLOAD
+        if packet.payload != bytes([protocol.OPEN]):
+            return protocol.AckError.BAD_PAYLOAD
         self._power.open(now)
-        return AckError.DONE
+        return protocol.AckError.DONE
 
-    def _probe(self, packet: Packet, now: float) -> AckError | None:
+    def _probe(self, packet: Packet, now: float) -> protocol.AckError | None:
         error = self._power.start_probe(now)
-        if error is AckError.DONE:
+        if error is protocol.AckError.DONE:
             self._probe_sequence = packet.sequence
             return None
         return error
 
     def _send_to_servos(self, packet: Packet, now: float) -> None:
-        self.servos.send(decode_servo(packet.payload), now)
+        self.servos.send(protocol.decode_servo(packet.payload), now)
 
-    def _set_servo_speed(self, packet: Packet, now: float) -> AckError:
-        return self.servos.set_speed(decode_servo_speed(packet.payload))
+    def _set_servo_speed(self, packet: Packet, now: float) -> protocol.AckError:
+        return self.servos.set_speed(protocol.decode_servo_speed(packet.payload))
 
 
 _COMMANDS: dict[int, str] = {
-    PacketType.HELLO: "_hello",
-    PacketType.START: "_start",
-    PacketType.STOP: "_stop",
-    PacketType.TARE: "_tare",
-    PacketType.RATE: "_set_rate",
-    PacketType.CONTACTOR: "_contactor",
-    PacketType.PROBE: "_probe",
-    PacketType.SERVO: "_send_to_servos",
-    PacketType.SERVO_SPEED: "_set_servo_speed",
-    PacketType.HEARTBEAT: "_heartbeat",
-    PacketType.PING: "_ping",
+    protocol.PacketType.HELLO: "_hello",
+    protocol.PacketType.START: "_start",
+    protocol.PacketType.STOP: "_stop",
+    protocol.PacketType.TARE: "_tare",
+    protocol.PacketType.RATE: "_set_rate",
+    protocol.PacketType.CONTACTOR: "_contactor",
+    protocol.PacketType.PROBE: "_probe",
+    protocol.PacketType.SERVO: "_send_to_servos",
+    protocol.PacketType.SERVO_SPEED: "_set_servo_speed",
+    protocol.PacketType.HEARTBEAT: "_heartbeat",
+    protocol.PacketType.PING: "_ping",
 }

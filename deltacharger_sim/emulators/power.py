@@ -5,8 +5,6 @@ Sequence, limits and latched faults are those of the firmware (dc_stage.c); docs
 number. Real ports behave like `TargetPort`; docs/targets.md and deltacharger_sim.circuit have the sources.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,14 +14,7 @@ from typing import NamedTuple, Protocol
 
 from deltacharger_core.machine import BATTERY_MAX, BATTERY_MIN, LIVE_VOLTAGE, PROBE_LIFETIME, ZERO_CURRENT, ChargeLimits
 from deltacharger_core.parameters import Bounded, flag, number
-from deltacharger_driver.board.protocol import (
-    HEARTBEAT_TIMEOUT,
-    AckError,
-    BoardFault,
-    Power,
-    probe_problem,
-    weld_problem,
-)
+from deltacharger_driver.board import protocol
 
 _PRECHARGE_TIMEOUT, _PRECHARGE_MATCH = 0.5, 1.0  # s; V between both sides of the contactor when it closes
 _PULL_IN_TIMEOUT = 0.1  # s until the feedback shows closed
@@ -44,7 +35,7 @@ _OVER = 0.3  # V above the limit that are tolerated for _BLIND_TIMEOUT
 _START_LIMIT, _STARTED = 0.5, 0.2  # A into a dead port until current and voltage have held for this time, s
 _HEADROOM, _EFFICIENCY = 0.5, 0.9  # V that a stage needs to step down; share of the input that arrives
 HIGHEST_STAGE = 0.1  # V of a constant voltage above the limit
-HEARTBEAT_LIMIT = HEARTBEAT_TIMEOUT - 0.005
+HEARTBEAT_LIMIT = protocol.HEARTBEAT_TIMEOUT - 0.005
 """s without a heartbeat until the contactor opens; the remaining 5 ms are for the board to notice and to open."""
 CHECK_PERIOD = 0.010  # s between checks of the power stage while it is busy, and after an opening
 _CONFIRMED = 0.15  # s after an opening in which a weld shows
@@ -159,7 +150,11 @@ class PowerStage:
         state = self.state
         if state is StageState.OPEN:
             live = reading.closed or abs(reading.current) >= ZERO_CURRENT
-            return BoardFault.CONTACTOR_WELDED if live and now - self._since >= _ZERO_TIME else BoardFault.NONE
+            return (
+                protocol.BoardFault.CONTACTOR_WELDED
+                if live and now - self._since >= _ZERO_TIME
+                else protocol.BoardFault.NONE
+            )
         fault = self._at_once(reading, now)
         if not fault and state is StageState.PRECHARGE:
             fault = self._precharge(reading, now)
@@ -194,13 +189,13 @@ class PowerStage:
         """Return the fault of a reading that no time excuses, or of a current that flows back for too long."""
         back = self._lapsed("forward", reading.current >= _REVERSE_LIMIT, _REVERSE_TIME, now)
         if reading.target <= -LIVE_VOLTAGE:
-            return BoardFault.REVERSE_POLARITY
+            return protocol.BoardFault.REVERSE_POLARITY
         if reading.current > _OPEN_CURRENT and reading.target < _SHORT_VOLTAGE:
-            return BoardFault.SHORT_CIRCUIT
+            return protocol.BoardFault.SHORT_CIRCUIT
         if reading.current > _LARGEST_CURRENT:
-            return BoardFault.OVER_CURRENT
+            return protocol.BoardFault.OVER_CURRENT
         worst = _REVERSE_LIMIT if back else _REVERSE_AT_ONCE
-        return BoardFault.REVERSE_CURRENT if reading.current < worst else BoardFault.NONE
+        return protocol.BoardFault.REVERSE_CURRENT if reading.current < worst else protocol.BoardFault.NONE
 
     def _precharge(self, reading: StageReading, now: float) -> int:
         given, limits, target = self._given, self._limits, reading.target
@@ -209,15 +204,15 @@ class PowerStage:
         low = -LIVE_VOLTAGE if limits.dead else _LOWEST_TARGET
         too_high = not given.steps_up and target > reading.battery - _HEADROOM
         if target < low or target > min(limits.voltage, _HIGHEST_TARGET) or too_high:
-            return BoardFault.VOLTAGE_OUT_OF_RANGE
+            return protocol.BoardFault.VOLTAGE_OUT_OF_RANGE
         if abs(reading.output - target) <= _PRECHARGE_MATCH:
             self._enter(StageState.CLOSING, now)
             self._order(self._outputs._replace(contactor=True))
         elif now - self._since >= _PRECHARGE_TIMEOUT:
             if math.isnan(target):
-                return BoardFault.NO_CHARGE_CURRENT  # nothing is connected
-            return BoardFault.STALE if math.isnan(reading.output) else BoardFault.VOLTAGE_OUT_OF_RANGE
-        return BoardFault.NONE
+                return protocol.BoardFault.NO_CHARGE_CURRENT  # nothing is connected
+            return protocol.BoardFault.STALE if math.isnan(reading.output) else protocol.BoardFault.VOLTAGE_OUT_OF_RANGE
+        return protocol.BoardFault.NONE
 
     def _pull_in(self, reading: StageReading, now: float) -> int:
         if reading.closed:
@@ -225,8 +220,10 @@ class PowerStage:
             self._last |= dict.fromkeys(("current", "target", "battery", "charge", "flow", "rest"), now)
             self._flowed, self._bounce = False, -math.inf
             self._order(self._outputs._replace(precharge=False))
-            return BoardFault.NONE
-        return BoardFault.NO_CHARGE_CURRENT if now - self._since >= _PULL_IN_TIMEOUT else BoardFault.NONE
+            return protocol.BoardFault.NONE
+        return (
+            protocol.BoardFault.NO_CHARGE_CURRENT if now - self._since >= _PULL_IN_TIMEOUT else protocol.BoardFault.NONE
+        )
 
     def _has_opened(self, now: float) -> bool:
         if now - self._bounce >= _BOUNCE_PERIOD:
@@ -245,14 +242,14 @@ class PowerStage:
         low = _LOWEST_TARGET if self._started else -math.inf
         high = min(self._limits.voltage + _OVER, _HIGHEST_TARGET)
         if self._lapsed("current", math.isfinite(reading.current), _BLIND_TIMEOUT, now):
-            return BoardFault.STALE
+            return protocol.BoardFault.STALE
         if self._lapsed("target", low <= target <= high, _BLIND_TIMEOUT, now):
-            return BoardFault.STALE if math.isnan(target) else BoardFault.VOLTAGE_OUT_OF_RANGE
+            return protocol.BoardFault.STALE if math.isnan(target) else protocol.BoardFault.VOLTAGE_OUT_OF_RANGE
         if self._lapsed("battery", battery <= BATTERY_MAX, _BLIND_TIMEOUT, now):
-            return BoardFault.STALE if math.isnan(battery) else BoardFault.VOLTAGE_OUT_OF_RANGE
+            return protocol.BoardFault.STALE if math.isnan(battery) else protocol.BoardFault.VOLTAGE_OUT_OF_RANGE
         if self._lapsed("charge", battery >= BATTERY_MIN, _SAG_TIMEOUT, now):
-            return BoardFault.VOLTAGE_OUT_OF_RANGE
-        return BoardFault.NONE
+            return protocol.BoardFault.VOLTAGE_OUT_OF_RANGE
+        return protocol.BoardFault.NONE
 
     def _charge(self, reading: StageReading, now: float) -> int:
         flows = reading.current >= IDLE_CURRENT
@@ -267,7 +264,7 @@ class PowerStage:
         wanted = min(self._outputs.current + rise, self._largest(reading, now))
         if wanted != self._outputs.current:
             self._order(self._outputs._replace(current=wanted))
-        return BoardFault.NONE
+        return protocol.BoardFault.NONE
 
     def _missing(self, reading: StageReading, now: float) -> int:
         """Return the fault of a current that has not begun in time, or has not returned.
@@ -275,15 +272,19 @@ class PowerStage:
         A dead port must also show a voltage in time. `_watch` handles an unknown current.
         """
         if not math.isfinite(reading.current):
-            return BoardFault.NONE
+            return protocol.BoardFault.NONE
         if self._started and self._flowed:
             gone = now - self._last["flow"] >= self._limits.gap_time
-            return BoardFault.NO_CHARGE_CURRENT if gone else BoardFault.NONE
+            return protocol.BoardFault.NO_CHARGE_CURRENT if gone else protocol.BoardFault.NONE
         if now - self._since < self._limits.start_time:
-            return BoardFault.NONE
+            return protocol.BoardFault.NONE
         if reading.current < IDLE_CURRENT:
-            return BoardFault.NO_CHARGE_CURRENT
-        return BoardFault.SHORT_CIRCUIT if reading.target < _SHORT_VOLTAGE else BoardFault.VOLTAGE_OUT_OF_RANGE
+            return protocol.BoardFault.NO_CHARGE_CURRENT
+        return (
+            protocol.BoardFault.SHORT_CIRCUIT
+            if reading.target < _SHORT_VOLTAGE
+            else protocol.BoardFault.VOLTAGE_OUT_OF_RANGE
+        )
 
     def _largest(self, reading: StageReading, now: float) -> float:
         """Return the largest current allowed now, A: of the closing, the stage, its fuse, a start and a gap."""
@@ -342,7 +343,7 @@ class EmulatedPower:
         self.parameters = parameters or StageParameters()
         self.stage = PowerStage(plant.drive, self.parameters)
         self.closed = False
-        self.fault = int(BoardFault.NONE)
+        self.fault = int(protocol.BoardFault.NONE)
         self.reset(0.0)
 
     def reset(self, now: float) -> None:
@@ -362,25 +363,25 @@ class EmulatedPower:
         """Take a heartbeat."""
         self._heartbeat_deadline = now + HEARTBEAT_LIMIT
 
-    def close(self, limits: ChargeLimits, now: float) -> AckError:
+    def close(self, limits: ChargeLimits, now: float) -> protocol.AckError:
         """Close within these limits if every interlock allows it."""
         if self.closed:
-            return AckError.NOT_NOW
-        allowed = now < self._probe_deadline and not probe_problem(*self._probed, limits.dead)
+            return protocol.AckError.NOT_NOW
+        allowed = now < self._probe_deadline and not protocol.probe_problem(*self._probed, limits.dead)
         if now >= self._heartbeat_deadline or self.fault or not allowed or not self.parameters.keeps(limits.voltage):
-            return AckError.INTERLOCK
+            return protocol.AckError.INTERLOCK
         self._abort_probe()  # the probe's circuit must leave the electrodes before the battery is connected
         self.closed = True
         self._next_check = now + CHECK_PERIOD
         self.stage.close(limits, now)
-        return AckError.DONE
+        return protocol.AckError.DONE
 
-    def limit(self, current: float) -> AckError:
+    def limit(self, current: float) -> protocol.AckError:
         """Change the largest current (A) of a closed contactor."""
         if not self.closed:
-            return AckError.NOT_NOW
+            return protocol.AckError.NOT_NOW
         self.stage.limit(current)
-        return AckError.DONE
+        return protocol.AckError.DONE
 
     def open(self, now: float) -> None:
         """Open as commanded, ramping down, and clear the latched fault, but no weld; a persisting one returns."""
@@ -389,18 +390,18 @@ class EmulatedPower:
         self._clear_fault()
 
     def _clear_fault(self) -> None:
-        if self.fault != BoardFault.CONTACTOR_WELDED:
-            self.fault = int(BoardFault.NONE)
+        if self.fault != protocol.BoardFault.CONTACTOR_WELDED:
+            self.fault = int(protocol.BoardFault.NONE)
 
-    def clear_weld(self) -> AckError:
+    def clear_weld(self) -> protocol.AckError:
         """Clear a latched weld once contactor and electrodes are dead."""
-        if self.closed or self.fault not in (BoardFault.NONE, BoardFault.CONTACTOR_WELDED):
-            return AckError.NOT_NOW
+        if self.closed or self.fault not in (protocol.BoardFault.NONE, protocol.BoardFault.CONTACTOR_WELDED):
+            return protocol.AckError.NOT_NOW
         seen = self._plant.read_power()
-        if weld_problem(Power(seen.battery, seen.target, seen.current, seen.closed, 0)):
-            return AckError.INTERLOCK
-        self.fault = int(BoardFault.NONE)
-        return AckError.DONE
+        if protocol.weld_problem(protocol.Power(seen.battery, seen.target, seen.current, seen.closed, 0)):
+            return protocol.AckError.INTERLOCK
+        self.fault = int(protocol.BoardFault.NONE)
+        return protocol.AckError.DONE
 
     def trip(self, fault: int) -> None:
         """Open at once and latch `fault`; the first fault stays, but a weld replaces it."""
@@ -409,7 +410,7 @@ class EmulatedPower:
             self.fault = int(fault)
 
     def _outranks(self, fault: int) -> bool:
-        return bool(fault) and (not self.fault or fault == BoardFault.CONTACTOR_WELDED != self.fault)
+        return bool(fault) and (not self.fault or fault == protocol.BoardFault.CONTACTOR_WELDED != self.fault)
 
     def _open(self, ramp: bool) -> None:
         self.stage.open(ramp, self._now)
@@ -423,17 +424,17 @@ class EmulatedPower:
             self._probe_due = math.inf
             self.probe_aborted = True
 
-    def start_probe(self, now: float) -> AckError:
+    def start_probe(self, now: float) -> protocol.AckError:
         """Start a probe; DONE means that `poll_probe` will return the result."""
         if self.fault:
-            return AckError.INTERLOCK
+            return protocol.AckError.INTERLOCK
         seen = self._plant.read_power()
         if self.closed or self._probe_due < math.inf or seen.closed or self.stage.state is not StageState.OPEN:
-            return AckError.NOT_NOW
+            return protocol.AckError.NOT_NOW
         if abs(seen.current) >= ZERO_CURRENT:
-            return AckError.INTERLOCK
+            return protocol.AckError.INTERLOCK
         self._probe_due = now + self._probe_time
-        return AckError.DONE
+        return protocol.AckError.DONE
 
     def poll_probe(self, now: float) -> tuple[float, float] | None:
         """Return the result (ohm, V) of a probe that just ended, else None."""
@@ -447,7 +448,7 @@ class EmulatedPower:
         """Check the heartbeat and the power stage."""
         self._now = now
         if self.closed and now >= self._heartbeat_deadline:
-            self.trip(BoardFault.HEARTBEAT_LOST)
+            self.trip(protocol.BoardFault.HEARTBEAT_LOST)
         if now >= self._next_check:
             self._check()
             busy = self.stage.state is not StageState.OPEN or now < self._checked_until
@@ -461,9 +462,9 @@ class EmulatedPower:
         if reading.current >= IDLE_CURRENT and math.isfinite(reading.target):
             self._voltages.append(reading.target)
         shown = self.stage.step(reading, self._now)
-        fault = reading.fault if reading.fault and shown != BoardFault.CONTACTOR_WELDED else shown
-        if fault == BoardFault.NO_CHARGE_CURRENT and not self.closed:
-            fault = int(BoardFault.NONE)  # after an opening no current is expected
+        fault = reading.fault if reading.fault and shown != protocol.BoardFault.CONTACTOR_WELDED else shown
+        if fault == protocol.BoardFault.NO_CHARGE_CURRENT and not self.closed:
+            fault = int(protocol.BoardFault.NONE)  # after an opening no current is expected
         if self._outranks(fault):
             self.trip(fault)
             reading = self._plant.read_power()
@@ -471,14 +472,14 @@ class EmulatedPower:
             self._open(ramp=False)  # it opened on its own: a pulled plug, a fuse
         return reading
 
-    def report(self) -> Power:
+    def report(self) -> protocol.Power:
         """Return the content of a POWER packet: currents since the last one, the target's voltage while they flowed."""
         reading = self._check()
         mean, least = (fmean(self._currents), min(self._currents)) if self._currents else (math.nan, math.nan)
         target = fmean(self._voltages) if self._voltages else reading.target
         self._clear_report()
         closed = reading.closed or self.stage.state in (StageState.CLOSED, StageState.RAMPING_DOWN)
-        return Power(reading.battery, target, mean, closed, self.fault, least)
+        return protocol.Power(reading.battery, target, mean, closed, self.fault, least)
 
     def _clear_report(self) -> None:
         self._currents: list[float] = []  # A since the last report

@@ -1,28 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """An emulated servo: memory with access rules, limits and indirect addresses; modes, watchdog, errors, restart."""
 
-from __future__ import annotations
-
 import functools
 import math
 import struct
 from typing import Protocol
 
 from deltacharger_core.servo_types import MX_64, SPEEDS, ServoType
-from deltacharger_driver.servos.registers import (
-    ALERT,
-    INDIRECT_COUNT,
-    MODE_CURRENT_POSITION,
-    MODE_EXTENDED,
-    MODE_POSITION,
-    TICK,
-    WATCHDOG_TRIPPED,
-    WATCHDOG_UNIT,
-    Register,
-    indirect_address,
-    indirect_data,
-    registers_of,
-)
+from deltacharger_driver.servos import registers
+from deltacharger_driver.servos.registers import WATCHDOG_UNIT
 
 SIZE = 662
 
@@ -39,21 +25,25 @@ _LIMITS = {
     "profile_velocity": "velocity_limit",
     "profile_acceleration": "acceleration_limit",
 }
-_POINTERS = {indirect_address(slot) + offset: (slot, offset) for slot in range(INDIRECT_COUNT) for offset in range(2)}
-_DATA = {indirect_data(slot): slot for slot in range(INDIRECT_COUNT)}
+_POINTERS = {
+    registers.indirect_address(slot) + offset: (slot, offset)
+    for slot in range(registers.INDIRECT_COUNT)
+    for offset in range(2)
+}
+_DATA = {registers.indirect_data(slot): slot for slot in range(registers.INDIRECT_COUNT)}
 _FIRST_TARGET = 64
 """Indirect addresses may point only to RAM."""
 ZERO_TICKS = 2048
 """Encoder count of an emulated servo at angle 0 of its plant; counts rise with the angle."""
 RESTART_TIME = 0.3  # s that a servo is silent after a reboot
 _OVERHEATING, _VOLTAGE = 1 << 2, 1 << 0
-_POSITION_MODES = (MODE_POSITION, MODE_EXTENDED, MODE_CURRENT_POSITION)
+_POSITION_MODES = (registers.MODE_POSITION, registers.MODE_EXTENDED, registers.MODE_CURRENT_POSITION)
 
 
 @functools.cache
 def _owners(kind: ServoType) -> dict[int, str]:
     """Return the register that holds each byte of a type's control table."""
-    table = registers_of(kind)
+    table = registers.registers_of(kind)
     return {table[name].address + offset: name for name in table for offset in range(table[name].size)}
 
 
@@ -67,7 +57,7 @@ class ControlTable:
     """
 
     def __init__(self, servo: int, baud: int = 3, kind: ServoType = MX_64) -> None:
-        self._registers, self._owner = registers_of(kind), _owners(kind)
+        self._registers, self._owner = registers.registers_of(kind), _owners(kind)
         self._memory = bytearray(SIZE)
         self._targets: list[int] = []
         for name, register in self._registers.items():
@@ -84,10 +74,10 @@ class ControlTable:
                 self.set(name, register.default)
         for name in ("goal_pwm", "goal_current"):
             self.set(name, self.get(_LIMITS[name]))
-        for slot in range(INDIRECT_COUNT):
-            self._memory[indirect_data(slot)] = 0
-            struct.pack_into("<H", self._memory, indirect_address(slot), indirect_data(slot))
-        self._targets = [indirect_data(slot) for slot in range(INDIRECT_COUNT)]
+        for slot in range(registers.INDIRECT_COUNT):
+            self._memory[registers.indirect_data(slot)] = 0
+            struct.pack_into("<H", self._memory, registers.indirect_address(slot), registers.indirect_data(slot))
+        self._targets = [registers.indirect_data(slot) for slot in range(registers.INDIRECT_COUNT)]
 
     def get(self, name: str) -> int:
         """Return a register."""
@@ -169,7 +159,7 @@ class ControlTable:
             values[name] = value
         return OK, values
 
-    def _allowed(self, name: str, register: Register, value: int) -> int:
+    def _allowed(self, name: str, register: registers.Register, value: int) -> int:
         if not register.low <= value <= register.high:
             return RANGE
         if name in GOALS and self.get("bus_watchdog") == 255:
@@ -189,7 +179,7 @@ class ControlTable:
             memory[at] = byte
         targets = list(self._targets)
         for slot in {_POINTERS[at][0] for at in pointers}:
-            (target,) = struct.unpack_from("<H", memory, indirect_address(slot))
+            (target,) = struct.unpack_from("<H", memory, registers.indirect_address(slot))
             if not _FIRST_TARGET <= target < SIZE:
                 return RANGE
             targets[slot] = target
@@ -266,7 +256,7 @@ class ServoFirmware:
 
     def error_byte(self, number: int) -> int:
         """Return the error byte of a status packet with error `number`."""
-        return number | (ALERT if self.table.get("hardware_error") else 0)
+        return number | (registers.ALERT if self.table.get("hardware_error") else 0)
 
     def note_instruction(self, now: float) -> None:
         """Record an instruction packet for this servo at `now` (s).
@@ -339,10 +329,10 @@ class ServoFirmware:
         return angle
 
     def _ticks(self, angle: float) -> int:
-        return ZERO_TICKS + round(angle / TICK)
+        return ZERO_TICKS + round(angle / registers.TICK)
 
     def _angle(self, ticks: int) -> float:
-        return (ticks - ZERO_TICKS) * TICK
+        return (ticks - ZERO_TICKS) * registers.TICK
 
     def _start(self, now: float) -> None:
         self._heard = -math.inf
@@ -361,14 +351,14 @@ class ServoFirmware:
     def _watchdog_due(self) -> float:
         """Return when silence trips the watchdog, s; inf = never. Active only while torque is on (e-manual, 98)."""
         period = self.table.get("bus_watchdog")
-        armed = 0 < period < WATCHDOG_TRIPPED and self.table.get("torque_enable")
+        armed = 0 < period < registers.WATCHDOG_TRIPPED and self.table.get("torque_enable")
         return self._heard + period * WATCHDOG_UNIT if armed else math.inf
 
     def trip_watchdog(self, now: float) -> None:
         """Stop and lock the goals, as after too long a silence; do nothing if the watchdog is off."""
-        if not 0 < self.table.get("bus_watchdog") < WATCHDOG_TRIPPED:
+        if not 0 < self.table.get("bus_watchdog") < registers.WATCHDOG_TRIPPED:
             return
-        self.table.set("bus_watchdog", WATCHDOG_TRIPPED)
+        self.table.set("bus_watchdog", registers.WATCHDOG_TRIPPED)
         self._reference = self.measure(now)
         self._forward()
 
@@ -378,7 +368,7 @@ class ServoFirmware:
         mode = table.get("operating_mode")
         on = bool(table.get("torque_enable")) and mode in _POSITION_MODES
         limit = table.get("current_limit")
-        if mode == MODE_CURRENT_POSITION:
+        if mode == registers.MODE_CURRENT_POSITION:
             limit = min(limit, abs(table.get("goal_current")))
         stiff, damped = self._usual
         gain, braking = table.get("position_p_gain") / stiff, table.get("position_d_gain") / damped

@@ -4,35 +4,18 @@
 Serve it on a `PseudoTerminal` and open the terminal's path like any serial port.
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from deltacharger_core.machine import SERVO_IDS
-from deltacharger_core.servo_types import MX_64, ServoType
-from deltacharger_driver.errors import DriverError
-from deltacharger_driver.packets import (
-    BROADCAST,
-    HEADER,
-    PING,
-    PLAIN,
-    READ,
-    REBOOT,
-    STATUS,
-    SYNC_READ,
-    SYNC_WRITE,
-    WRITE,
-    crc16,
-    servo_packet,
-)
+from deltacharger_core import machine, servo_types
+from deltacharger_driver import errors, packets
 from deltacharger_sim.emulators.servo import CHECKSUM, INSTRUCTION, LENGTH, OK, ServoFirmware, ServoPlant
 from deltacharger_sim.emulators.wire import DelayLine, WireFaults
 
-STUFFED = PLAIN + b"\xfd"
+STUFFED = packets.PLAIN + b"\xfd"
 
 _LONGEST = 1024  # bytes of a packet; a longer length is noise
 _SILENCE = 0.02  # s without a byte after which an incomplete packet is discarded
@@ -57,14 +40,14 @@ class Instruction:
 
 def status(servo: int, error: int, parameters: bytes = b"") -> bytes:
     """Return the status packet (Protocol 2.0) of a servo."""
-    return servo_packet(servo, bytes((STATUS, error)) + parameters)
+    return packets.servo_packet(servo, bytes((packets.STATUS, error)) + parameters)
 
 
 def _interrupted(body: bytearray) -> bool:
     """Return whether an unstuffed header precedes the checksum: a servo restarts its parser there."""
-    if PLAIN not in body:
+    if packets.PLAIN not in body:
         return False
-    at = body.replace(STUFFED, b"\0\0\0\0").find(PLAIN)
+    at = body.replace(STUFFED, b"\0\0\0\0").find(packets.PLAIN)
     return 0 <= at < len(body) - 4
 
 
@@ -96,7 +79,7 @@ class InstructionParser:
             del buffer[:start]
             if len(buffer) < 4:
                 return None
-            if buffer.startswith(HEADER):
+            if buffer.startswith(packets.HEADER):
                 if len(buffer) < 10:
                     return None
                 size = int.from_bytes(buffer[5:7], "little") + 7
@@ -109,8 +92,8 @@ class InstructionParser:
         del self._buffer[:size]
         parameters = packet[8:-2]
         if STUFFED in packet:
-            parameters = packet[7:-2].replace(STUFFED, PLAIN)[1:]
-        intact = crc16(packet[:-2]) == int.from_bytes(packet[-2:], "little")
+            parameters = packet[7:-2].replace(STUFFED, packets.PLAIN)[1:]
+        intact = packets.crc16(packet[:-2]) == int.from_bytes(packet[-2:], "little")
         return Instruction(packet[4], packet[7], parameters, intact)
 
 
@@ -141,10 +124,10 @@ class ServoBusEmulator:
     def __init__(
         self,
         plant: ServoPlant,
-        ids: Sequence[int] = SERVO_IDS,
+        ids: Sequence[int] = machine.SERVO_IDS,
         line_speed: Callable[[], int] | None = None,
         seed: int = 0,
-        kind: ServoType = MX_64,
+        kind: servo_types.ServoType = servo_types.MX_64,
     ) -> None:
         self.faults = WireFaults(seed, head=7)  # up to the length: the checksum must detect the damage
         self.line_speed = line_speed
@@ -162,7 +145,7 @@ class ServoBusEmulator:
         for firmware in self._servos:
             if firmware.servo == servo:
                 return firmware
-        raise DriverError(f"no emulated servo {servo}; there are {[f.servo for f in self._servos]}")
+        raise errors.DriverError(f"no emulated servo {servo}; there are {[f.servo for f in self._servos]}")
 
     def alter(self, place: int, change: Callable[[ServoFirmware], None]) -> None:
         """Apply `change` between two instructions to the servo at `place` in `ids`, whatever its present id."""
@@ -212,19 +195,19 @@ class ServoBusEmulator:
     def _replies(
         self, instruction: Instruction, present: list[ServoFirmware], now: float
     ) -> list[tuple[ServoFirmware, bytes]]:
-        addressed = [servo for servo in present if instruction.servo in (BROADCAST, servo.servo)]
+        addressed = [servo for servo in present if instruction.servo in (packets.BROADCAST, servo.servo)]
         addressed.sort(key=lambda servo: servo.servo)  # each waits for those with lower ids
         if not instruction.intact:
-            if instruction.servo == BROADCAST:
+            if instruction.servo == packets.BROADCAST:
                 return []
             return [(servo, status(servo.servo, servo.error_byte(CHECKSUM))) for servo in addressed]
         for servo in addressed:
             servo.note_instruction(now)
         code, data = instruction.code, instruction.parameters
-        if code == SYNC_READ:
+        if code == packets.SYNC_READ:
             address, length = _words(data)
             return _chain(present, [(servo, address, length) for servo in data[4:]], now)
-        if code == SYNC_WRITE:
+        if code == packets.SYNC_WRITE:
             _sync_write(present, data, now)
             return []
         replies = []
@@ -232,8 +215,8 @@ class ServoBusEmulator:
             # The state before the instruction decides whether a servo answers: a reboot is still confirmed.
             level, servo_id = servo.table.get("status_return_level"), servo.servo
             error, payload = _single(servo, code, data, now)
-            quiet = instruction.servo == BROADCAST and code != PING
-            if not quiet and (code == PING or level == 2 or (level == 1 and code == READ)):
+            quiet = instruction.servo == packets.BROADCAST and code != packets.PING
+            if not quiet and (code == packets.PING or level == 2 or (level == 1 and code == packets.READ)):
                 replies.append((servo, status(servo_id, servo.error_byte(error), payload)))
         return replies
 
@@ -244,13 +227,13 @@ def _words(data: bytes) -> tuple[int, int]:
 
 def _single(servo: ServoFirmware, code: int, data: bytes, now: float) -> tuple[int, bytes]:
     """Execute an instruction for one servo and return (error number, parameters of the reply)."""
-    if code == PING:
+    if code == packets.PING:
         return OK, servo.table.get("model").to_bytes(2, "little") + bytes((servo.table.get("firmware"),))
-    if code == READ:
+    if code == packets.READ:
         return servo.read(*_words(data), now) if len(data) == 4 else (LENGTH, b"")
-    if code == WRITE:
+    if code == packets.WRITE:
         return (servo.write(int.from_bytes(data[:2], "little"), data[2:], now) if len(data) >= 3 else LENGTH), b""
-    if code == REBOOT:
+    if code == packets.REBOOT:
         servo.reboot(now)
         return OK, b""
     return INSTRUCTION, b""

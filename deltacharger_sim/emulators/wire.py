@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The wire between an emulated device and its host: damage and delay of packets."""
 
-from __future__ import annotations
-
 import math
 import random
 from collections import Counter, deque

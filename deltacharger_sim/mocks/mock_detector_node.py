@@ -10,8 +10,6 @@ beyond_reach   the electrodes are reported 0.5 m away
 leaning        the faces are yawed by 10 degrees
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -23,10 +21,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 
 from deltacharger_core.frames import CHARGER_BASE, FrameParameters
-from deltacharger_core.ros import node_support, qos
-from deltacharger_core.ros.messages import unknown
-from deltacharger_core.ros.parameters import declare_all, reject_unknown
-from deltacharger_core.ros.qos import SERVICE
+from deltacharger_core.ros import messages, node_support, parameters, qos
 from deltacharger_sim.mocks.parameters import DETECTOR_FAULTS, MockDetectorNodeParameters, fault_switch
 from deltacharger_vision.mount import Placed, leaning_normal
 from deltacharger_vision.ros.messages import detection_message
@@ -42,9 +37,9 @@ class MockDetectorNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("electrode_detector_node", **kwargs)
-        given = declare_all(self, MockDetectorNodeParameters)
-        self._frame_id = declare_all(self, FrameParameters).named(CHARGER_BASE)
-        reject_unknown(self)
+        given = parameters.declare_all(self, MockDetectorNodeParameters)
+        self._frame_id = parameters.declare_all(self, FrameParameters).named(CHARGER_BASE)
+        parameters.reject_unknown(self)
         self._given = given
         self._fault = fault_switch(self, DETECTOR_FAULTS)
         self._detections = self.create_publisher(ElectrodeDetection, "electrode_detection", qos.DEFAULT_DEPTH)
@@ -53,7 +48,7 @@ class MockDetectorNode(Node):
             "detect_electrodes",
             self._on_detect,
             callback_group=ReentrantCallbackGroup(),
-            qos_profile=SERVICE,
+            qos_profile=qos.SERVICE,
         )
 
     def close(self) -> None:
@@ -64,7 +59,7 @@ class MockDetectorNode(Node):
     ) -> DetectElectrodes.Response:
         fault = self._fault()
         if fault == "nothing":
-            unknown(response)
+            messages.unknown(response)
             response.message = "no electrodes in the image; turn the robot toward the target or clean the lens"
             return response
         detection = self._detection(fault)

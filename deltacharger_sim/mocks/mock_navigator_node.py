@@ -6,8 +6,6 @@ Parameters: initial x and speed of the base, and `fault`, which may be changed a
 half-way.
 """
 
-from __future__ import annotations
-
 import math
 import threading
 import time
@@ -18,12 +16,9 @@ from rclpy.action.server import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 
-from deltacharger_core.ros import node_support
-from deltacharger_core.ros.messages import duration
-from deltacharger_core.ros.parameters import declare_all, reject_unknown
+from deltacharger_core.ros import messages, node_support, parameters
 from deltacharger_docking.mission.places import Place
-from deltacharger_docking.mission.ros.mission_node import load_navigation
-from deltacharger_docking.mission.ros.others import fill_pose
+from deltacharger_docking.mission.ros import mission_node, others
 from deltacharger_docking.mission.ros.others import place as read_place
 from deltacharger_sim.mocks.parameters import NAVIGATOR_FAULTS, MockNavigatorNodeParameters, fault_switch
 
@@ -42,11 +37,11 @@ class MockNavigatorNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("mock_navigator_node", **kwargs)
-        given = declare_all(self, MockNavigatorNodeParameters)
-        reject_unknown(self)
+        given = parameters.declare_all(self, MockNavigatorNodeParameters)
+        parameters.reject_unknown(self)
         self._speed = given.speed
         self._fault = fault_switch(self, NAVIGATOR_FAULTS)
-        self._action = load_navigation("nav2")
+        self._action = mission_node.load_navigation("nav2")
         self._place = Place(given.x, 0.0, 0.0, _FRAME)
         self.arrived: list[Place] = []
         self._stopping = threading.Event()
@@ -117,8 +112,10 @@ class MockNavigatorNode(Node):
         self._place = Place(end.x, end.y, yaw, _FRAME)
 
     def _feed_back(self, handle: Any, end: Place, seconds: float) -> None:
-        message = self._action.Feedback(navigation_time=duration(seconds), distance_remaining=self._place.distance(end))
-        fill_pose(message.current_pose, self._place)
+        message = self._action.Feedback(
+            navigation_time=messages.duration(seconds), distance_remaining=self._place.distance(end)
+        )
+        others.fill_pose(message.current_pose, self._place)
         message.current_pose.header.stamp = self.get_clock().now().to_msg()
         handle.publish_feedback(message)
 

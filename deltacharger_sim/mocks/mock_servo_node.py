@@ -9,8 +9,6 @@ The mock arm is for tests of nodes, not of physics: three servos on the real geo
 and stick to. Its servos have a rotor, because docking measures their damping by a jump.
 """
 
-from __future__ import annotations
-
 import array
 import math
 import threading
@@ -25,23 +23,9 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
+from deltacharger_core import machine
 from deltacharger_core.frames import CHARGER_BASE, JointFrameParameters
-from deltacharger_core.machine import (
-    CURRENT_BOUND,
-    DOCK_DISTANCE,
-    GRAVITY,
-    JOINTS,
-    NOMINAL_VOLTAGE,
-    SERVO_INERTIA,
-    SERVO_STIFFNESS,
-    STALL_TORQUE,
-    TORQUE_CONSTANT,
-)
-from deltacharger_core.ros import node_support, qos
-from deltacharger_core.ros.clock import stamp_age
-from deltacharger_core.ros.messages import seconds
-from deltacharger_core.ros.parameters import declare_all, reject_unknown
-from deltacharger_core.ros.qos import SERVICE
+from deltacharger_core.ros import clock, messages, node_support, parameters, qos
 from deltacharger_driver.errors import TrajectoryRefused
 from deltacharger_driver.servos.motion import JointLimits, ServoGoals, ServoWaypoint, check, check_age
 from deltacharger_kinematics import DeltaGeometry
@@ -71,7 +55,7 @@ class MockArm:
         self.angles = list(self._delta.inverse(0.0, 0.0, 0.0))
         self.goals = list(self.angles)
         self.velocities, self.currents = [0.0] * 3, [0.0] * 3
-        self.bounds = [CURRENT_BOUND] * 3
+        self.bounds = [machine.CURRENT_BOUND] * 3
         self.torque_enabled = [False] * 3
         self._touched: Vector | None = None
 
@@ -88,29 +72,35 @@ class MockArm:
 
     def _step(self, dt: float) -> None:
         position = self.position
-        held = self._delta.holding_torque(*position, GRAVITY)
+        held = self._delta.holding_torque(*position, machine.GRAVITY)
         pressed = self._delta.torque(*position, self._contact_force(position))
         before = list(self.angles)
         for index, (hold, press) in enumerate(zip(held, pressed, strict=True)):
             if not self.torque_enabled[index]:
                 self.currents[index] = self.velocities[index] = 0.0
                 continue
-            bound = self.bounds[index] * TORQUE_CONSTANT
-            wanted = SERVO_STIFFNESS * (self.goals[index] - self.angles[index]) - _DAMPING * self.velocities[index]
+            bound = self.bounds[index] * machine.TORQUE_CONSTANT
+            wanted = (
+                machine.SERVO_STIFFNESS * (self.goals[index] - self.angles[index]) - _DAMPING * self.velocities[index]
+            )
             torque = min(max(wanted, -bound), bound)
-            self.currents[index] = torque / TORQUE_CONSTANT
-            self.velocities[index] += dt * (torque - hold - press) / SERVO_INERTIA
+            self.currents[index] = torque / machine.TORQUE_CONSTANT
+            self.velocities[index] += dt * (torque - hold - press) / machine.SERVO_INERTIA
             self.angles[index] += dt * self.velocities[index]
         if not math.isfinite(self.position[0]):
             self.angles, self.velocities = before, [0.0] * 3  # the rods' end stop
 
     def _contact_force(self, position: Vector) -> Vector:
         """Return the platform's force on the plane (N); it sticks where it touched."""
-        if position[2] <= DOCK_DISTANCE:
+        if position[2] <= machine.DOCK_DISTANCE:
             self._touched = None
             return 0.0, 0.0, 0.0
         x, y, _ = self._touched = self._touched or position
-        return _CONTACT * (position[0] - x), _CONTACT * (position[1] - y), _CONTACT * (position[2] - DOCK_DISTANCE)
+        return (
+            _CONTACT * (position[0] - x),
+            _CONTACT * (position[1] - y),
+            _CONTACT * (position[2] - machine.DOCK_DISTANCE),
+        )
 
 
 _PERIOD = 0.01  # s of a cycle
@@ -121,24 +111,24 @@ class MockServoNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("servo_node", **kwargs)
-        declare_all(self, MockServoNodeParameters)
-        frames = declare_all(self, JointFrameParameters)
-        reject_unknown(self)
+        parameters.declare_all(self, MockServoNodeParameters)
+        frames = parameters.declare_all(self, JointFrameParameters)
+        parameters.reject_unknown(self)
         self._frame_id = frames.named(CHARGER_BASE)
-        self._joint_names = [f"{frames.joint_prefix}{name}" for name in JOINTS]
+        self._joint_names = [f"{frames.joint_prefix}{name}" for name in machine.JOINTS]
         geometry = DeltaGeometry()
-        self._limits = JointLimits(JOINTS, geometry.joint_min, geometry.joint_max, STALL_TORQUE)
+        self._limits = JointLimits(machine.JOINTS, geometry.joint_min, geometry.joint_max, machine.STALL_TORQUE)
         self._fault = fault_switch(self, SERVO_FAULTS)
         self._lock = threading.Lock()
         self._arm = MockArm()
-        self._goals = ServoGoals(len(JOINTS), CURRENT_BOUND, TORQUE_CONSTANT)
+        self._goals = ServoGoals(len(machine.JOINTS), machine.CURRENT_BOUND, machine.TORQUE_CONSTANT)
         self._goals.begin_at(tuple(self._arm.angles))
         self._state = self.create_publisher(ServoState, "servo_state", qos.LATEST)
         self._joints = self.create_publisher(JointState, "joint_states", qos.DEFAULT_DEPTH)
         group = ReentrantCallbackGroup()
         self.create_subscription(JointTrajectory, "joint_trajectory", self._on_trajectory, qos.LATEST)
-        self.create_service(SetBool, "set_torque", self._on_torque, callback_group=group, qos_profile=SERVICE)
-        self.create_service(Trigger, "reboot_servos", self._on_reboot, callback_group=group, qos_profile=SERVICE)
+        self.create_service(SetBool, "set_torque", self._on_torque, callback_group=group, qos_profile=qos.SERVICE)
+        self.create_service(Trigger, "reboot_servos", self._on_reboot, callback_group=group, qos_profile=qos.SERVICE)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="mock servos", daemon=True)
         self._thread.start()
@@ -180,11 +170,11 @@ class MockServoNode(Node):
     def _message(self) -> ServoState:
         message = ServoState()
         message.header.frame_id = self._frame_id
-        message.name = list(JOINTS)
+        message.name = list(machine.JOINTS)
         message.position = array.array("d", self._arm.angles)
         message.velocity = array.array("d", self._arm.velocities)
         message.current = array.array("d", self._arm.currents)
-        message.voltage = array.array("f", [NOMINAL_VOLTAGE] * 3)
+        message.voltage = array.array("f", [machine.NOMINAL_VOLTAGE] * 3)
         message.temperature = array.array("f", [35.0] * 3)
         message.hardware_error = array.array("B", [0] * 3)
         message.torque_enabled = list(self._arm.torque_enabled)
@@ -203,8 +193,11 @@ class MockServoNode(Node):
     def _on_trajectory(self, message: JointTrajectory) -> None:
         stamp = message.header.stamp
         unset = not (stamp.sec or stamp.nanosec)
-        age = 0.0 if unset else stamp_age(self.get_clock(), stamp)
-        points = [ServoWaypoint(seconds(each.time_from_start), each.positions, each.effort) for each in message.points]
+        age = 0.0 if unset else clock.stamp_age(self.get_clock(), stamp)
+        points = [
+            ServoWaypoint(messages.seconds(each.time_from_start), each.positions, each.effort)
+            for each in message.points
+        ]
         try:
             check_age(age)
             trajectory = check(message.joint_names, points, self._limits)

@@ -26,27 +26,10 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
+from deltacharger_core import machine
 from deltacharger_core.frames import END_EFFECTOR, FrameParameters
-from deltacharger_core.machine import (
-    COLUMNS,
-    CONTACT_FORCE,
-    DOCK_DISTANCE,
-    FRAME_RATE,
-    GRAVITY,
-    PADS,
-    ROWS,
-    TORQUE_CONSTANT,
-    ChargeLimits,
-    port_of,
-)
-from deltacharger_core.ros import node_support, qos
-from deltacharger_core.ros.messages import seconds, unknown
-from deltacharger_core.ros.on_demand import LatestMessage
-from deltacharger_core.ros.parameters import declare_all, reject_unknown
-from deltacharger_core.ros.qos import SERVICE
-from deltacharger_driver.board.contactor import ContactorLease, LeaseRefused
-from deltacharger_driver.board.protocol import Power, PowerSample, TactileSample
-from deltacharger_driver.board.tactile_node import SamplePublishers, limits_of
+from deltacharger_core.ros import messages, node_support, on_demand, parameters, qos
+from deltacharger_driver.board import contactor, protocol, tactile_node
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_sim.mocks.parameters import TACTILE_FAULTS, MockTactileNodeParameters, fault_switch
 from deltacharger_sim.pads import ContactSource, contact_force
@@ -68,7 +51,7 @@ class MockPower:
     """
 
     def __init__(self) -> None:
-        self.lease = ContactorLease()
+        self.lease = contactor.ContactorLease()
         self.closed = False
         self.current = 0.0
         self._current_max = 0.0
@@ -89,13 +72,13 @@ class MockPower:
             LeaseRefused: the contactor is closed.
         """
         if self.closed:
-            raise LeaseRefused("the contactor is closed: open it before probing")
+            raise contactor.LeaseRefused("the contactor is closed: open it before probing")
         found = (math.inf, 0.0) if not contact else (0.05, 0.0) if short else (math.nan, TARGET)
         self.lease.probed(*found, now)
         return found
 
     def close(
-        self, holder: str, duration: float, now: float, token: str = "", limits: ChargeLimits | None = None
+        self, holder: str, duration: float, now: float, token: str = "", limits: machine.ChargeLimits | None = None
     ) -> None:
         """Close, or renew with another current or the same (0).
 
@@ -122,8 +105,11 @@ class MockTactileNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("tactile_node", **kwargs)
-        given, frames = declare_all(self, MockTactileNodeParameters), declare_all(self, FrameParameters)
-        reject_unknown(self)
+        given, frames = (
+            parameters.declare_all(self, MockTactileNodeParameters),
+            parameters.declare_all(self, FrameParameters),
+        )
+        parameters.reject_unknown(self)
         self._given = given
         self._fault = fault_switch(self, TACTILE_FAULTS)
         self._lock = threading.Lock()
@@ -135,21 +121,21 @@ class MockTactileNode(Node):
         self._push = 0.0
         self._jitter: tuple[float, float, float] | None = None
         self._tare: np.ndarray[Any, np.dtype[np.float64]] | None = None
-        self._newest: np.ndarray[Any, np.dtype[np.float64]] = np.zeros((PADS, ROWS, COLUMNS))
+        self._newest: np.ndarray[Any, np.dtype[np.float64]] = np.zeros((machine.PADS, machine.ROWS, machine.COLUMNS))
         self._recent: list[np.ndarray[Any, np.dtype[np.float64]]] = []
         self._sequence = 0
         self._began = time.monotonic()
-        self._samples = SamplePublishers(self, qos.LATEST, frames.named(END_EFFECTOR))
+        self._samples = tactile_node.SamplePublishers(self, qos.LATEST, frames.named(END_EFFECTOR))
         group = ReentrantCallbackGroup()
-        self._servos = LatestMessage(self, ServoState, "servo_state", qos.LATEST)
-        self.create_service(Trigger, "tare", self._on_tare, callback_group=group, qos_profile=SERVICE)
-        self.create_service(Probe, "probe", self._on_probe, callback_group=group, qos_profile=SERVICE)
+        self._servos = on_demand.LatestMessage(self, ServoState, "servo_state", qos.LATEST)
+        self.create_service(Trigger, "tare", self._on_tare, callback_group=group, qos_profile=qos.SERVICE)
+        self.create_service(Probe, "probe", self._on_probe, callback_group=group, qos_profile=qos.SERVICE)
         self.create_service(
             SetContactor,
             "set_contactor",
             self._on_contactor,
             callback_group=ReentrantCallbackGroup(),
-            qos_profile=SERVICE,
+            qos_profile=qos.SERVICE,
         )
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="mock board", daemon=True)
@@ -172,7 +158,7 @@ class MockTactileNode(Node):
             return self._power.closed
 
     def _run(self) -> None:
-        period = 1.0 / FRAME_RATE
+        period = 1.0 / machine.FRAME_RATE
         due = next_power = time.monotonic()
         while not self._stop.wait(max(due - time.monotonic(), 0.0)):
             now = time.monotonic()
@@ -193,9 +179,9 @@ class MockTactileNode(Node):
             due = max(due + period, now - period)
 
     def _touching(self) -> bool:
-        return self._position[2] > DOCK_DISTANCE
+        return self._position[2] > machine.DOCK_DISTANCE
 
-    def _sample(self, now: float) -> TactileSample:
+    def _sample(self, now: float) -> protocol.TactileSample:
         """Read the pads as the board would: raw, minus tare, clipped at 0."""
         pose = None
         force = 0.0
@@ -215,22 +201,22 @@ class MockTactileNode(Node):
         self._sequence += 1
         pads = taxels.astype(np.float32)
         device_time = int((now - self._began) * 1e6)
-        return TactileSample(now, self._sequence, device_time, pads, self._tare is not None, False)
+        return protocol.TactileSample(now, self._sequence, device_time, pads, self._tare is not None, False)
 
-    def _power_sample(self, now: float) -> tuple[PowerSample, float, float, tuple[bool, float]]:
+    def _power_sample(self, now: float) -> tuple[protocol.PowerSample, float, float, tuple[bool, float]]:
         """Return the power stage's state, ohm and age (s) of the last probe, and the stage as in `Hello`."""
         stage = self._power
         voltage = TARGET if self._touching() else math.nan
-        power = Power(BATTERY, voltage, stage.current, stage.closed, 0, stage.current)
-        return PowerSample(now, power), stage.lease.resistance, stage.lease.probe_age(now), (True, math.nan)
+        power = protocol.Power(BATTERY, voltage, stage.current, stage.closed, 0, stage.current)
+        return protocol.PowerSample(now, power), stage.lease.resistance, stage.lease.probe_age(now), (True, math.nan)
 
     def _feel(self, message: ServoState) -> None:
         """Follow the arm to its place and push."""
         position = self._delta.forward(*message.position)
         if not math.isfinite(position[0]):
             return
-        torque = [TORQUE_CONSTANT * current for current in message.current]
-        held = self._delta.holding_torque(*position, GRAVITY)
+        torque = [machine.TORQUE_CONSTANT * current for current in message.current]
+        held = self._delta.holding_torque(*position, machine.GRAVITY)
         spare = [have - hold for have, hold in zip(torque, held, strict=True)]
         push = self._delta.force(*position, (spare[0], spare[1], spare[2]))[2]
         with self._lock:
@@ -239,7 +225,7 @@ class MockTactileNode(Node):
 
     def _on_tare(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self._lock:
-            pressed = self._tare is not None and bool(np.nanmax(self._newest) >= CONTACT_FORCE)
+            pressed = self._tare is not None and bool(np.nanmax(self._newest) >= machine.CONTACT_FORCE)
             if pressed or self._touching():
                 response.message = "the pads are in contact: lift the end effector before taring"
                 return response
@@ -252,16 +238,16 @@ class MockTactileNode(Node):
 
     def _on_probe(self, request: Probe.Request, response: Probe.Response) -> Probe.Response:
         self._stop.wait(_PROBE_TIME)
-        unknown(response)
+        messages.unknown(response)
         with self._lock:
             try:
                 resistance, voltage = self._power.probe(time.monotonic(), self._touching(), self._fault() == "short")
-            except LeaseRefused as refusal:
+            except contactor.LeaseRefused as refusal:
                 response.message = str(refusal)
                 return response
         response.success, response.message = True, "measured"
         response.resistance, response.target_voltage = resistance, voltage
-        response.port = int(port_of(resistance, voltage))
+        response.port = int(machine.port_of(resistance, voltage))
         return response
 
     def _on_contactor(self, request: SetContactor.Request, response: SetContactor.Response) -> SetContactor.Response:
@@ -275,9 +261,9 @@ class MockTactileNode(Node):
                     self._power.open()
                     response.success, response.message = True, "open"
                     return response
-                lease, now = seconds(request.lease), time.monotonic()
-                self._power.close(request.holder, lease, now, request.token, limits_of(request))
-            except LeaseRefused as refusal:
+                lease, now = messages.seconds(request.lease), time.monotonic()
+                self._power.close(request.holder, lease, now, request.token, tactile_node.limits_of(request))
+            except contactor.LeaseRefused as refusal:
                 response.message = str(refusal)
                 return response
         response.success, response.message = True, "closed"
@@ -289,7 +275,7 @@ class MockTactileNode(Node):
             return "tactile frames are stale; the contactor stays open"
         if self._fault() == "contactor_refusal":
             return "the board's interlock keeps the contactor open"
-        if not np.nanmax(self._newest) >= CONTACT_FORCE:
+        if not np.nanmax(self._newest) >= machine.CONTACT_FORCE:
             return "no tactile contact; the contactor stays open"
         return ""
 

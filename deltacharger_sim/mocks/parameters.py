@@ -1,16 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The parameters of the mock nodes, and the fault that each may be given while it runs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from deltacharger_core.machine import DOCK_DISTANCE
+from deltacharger_core import machine, texts
 from deltacharger_core.parameters import Bounded, choice, number
-from deltacharger_core.texts import ON_MAP
 
 SERVO_FAULTS = ("none", "silence")
 TACTILE_FAULTS = ("none", "silence", "short", "contactor_refusal")
@@ -42,7 +39,7 @@ class MockDetectorNodeParameters(Bounded):
 
     x: float = number(0.0, -1.0, 1.0, "m", "electrodes along x of charger_base")
     y: float = number(0.0, -1.0, 1.0, "m", "electrodes along y of charger_base")
-    z: float = number(DOCK_DISTANCE, -1.0, 1.0, "m", "electrodes along z of charger_base")
+    z: float = number(machine.DOCK_DISTANCE, -1.0, 1.0, "m", "electrodes along z of charger_base")
     roll: float = number(0.0, -math.pi / 2, math.pi / 2, "rad", "of the electrodes about z")
     fault: str = choice("none", DETECTOR_FAULTS, _FAULT, tunable=True)
 
@@ -51,7 +48,7 @@ class MockDetectorNodeParameters(Bounded):
 class MockNavigatorNodeParameters(Bounded):
     """Start and driving of the mock base."""
 
-    x: float = number(0.0, -ON_MAP, ON_MAP, "m", "initial x of the base; y and yaw are 0")
+    x: float = number(0.0, -texts.ON_MAP, texts.ON_MAP, "m", "initial x of the base; y and yaw are 0")
     speed: float = number(0.5, 0.01, 1000.0, "m/s", "of the base; it turns at twice as many rad/s")
     fault: str = choice("none", NAVIGATOR_FAULTS, _FAULT, tunable=True)
 

@@ -14,8 +14,6 @@ Every servo reading that a decision depends on is made and fed to the machine, a
 has the measured differences.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Iterator
@@ -25,17 +23,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_core.arrays import Array
-from deltacharger_core.machine import CONTACT_FORCE, SERVO_DAMPING
-from deltacharger_docking.arm import Planner
+from deltacharger_core import arrays, machine
+from deltacharger_docking import arm, observation
 from deltacharger_docking.contact import CONTACT_WINDOW
 from deltacharger_docking.machine import DockingMachine
-from deltacharger_docking.observation import Reply, Service
 from deltacharger_docking.parameters import DockingParameters, TargetProfile
+from deltacharger_kinematics import scalar, trajectory_feed
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.line import ARM_ACCELERATION, ARM_SPEED, PEAK_SPEED, REFUSED, way_done
-from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_kinematics.trajectory_feed import Piece, TrajectoryFeed, Waypoint, between
 from deltacharger_sim.pads import PadSource
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.virtual.virtual_charger import PROFILE, TICK, Pending, VirtualCharger
@@ -48,7 +43,7 @@ _LOOKS = (0.0, 0.25, 0.5, 0.75, 1.0)  # shares of a leg
 _REFUSED, _EDGE = int(REFUSED), 0.02  # m around the workspace box
 
 
-class QuickPlanner(Planner):
+class QuickPlanner(arm.Planner):
     """Plans lines well inside the reach point by point in plain floats; `Planner` plans all others.
 
     Such a line has the usual time law; the arms' limits are checked only at its points. Its lead under the arm's
@@ -58,12 +53,12 @@ class QuickPlanner(Planner):
 
     def __init__(self, parameters: DockingParameters, geometry: DeltaGeometry) -> None:
         super().__init__(parameters, geometry)
-        self._scalar = ScalarDelta(geometry)
+        self._scalar = scalar.ScalarDelta(geometry)
         (x0, y0, z0), (x1, y1, z1) = geometry.workspace_min, geometry.workspace_max
         self._low = (x0 - _EDGE, y0 - _EDGE, z0 - _EDGE)
         self._high = (x1 + _EDGE, y1 + _EDGE, z1 + _EDGE)
 
-    def line(self, start: Vector, goal: Vector, speed: float) -> tuple[Waypoint, ...]:
+    def line(self, start: Vector, goal: Vector, speed: float) -> tuple[trajectory_feed.Waypoint, ...]:
         """Return the waypoints from `start` to `goal`, as `Planner.line`."""
         quick = self._quick(start, goal, speed)
         return super().line(start, goal, speed) if quick is None else quick
@@ -71,7 +66,7 @@ class QuickPlanner(Planner):
     def check_way(self, speed: float, *places: Vector) -> None:
         """Refuse a path as `Planner.check_way` does; a path well inside the reach is checked at a few points only."""
         for start, goal in pairwise(places):
-            if not all(self._is_good(between(start, goal, share)) for share in _LOOKS):
+            if not all(self._is_good(trajectory_feed.between(start, goal, share)) for share in _LOOKS):
                 super().check_way(speed, start, goal)
 
     def _is_good(self, point: Vector) -> bool:
@@ -81,14 +76,14 @@ class QuickPlanner(Planner):
     def _is_inside(self, point: Vector) -> bool:
         return all(low <= value <= high for low, value, high in zip(self._low, point, self._high, strict=True))
 
-    def _quick(self, start: Vector, goal: Vector, speed: float) -> tuple[Waypoint, ...] | None:
+    def _quick(self, start: Vector, goal: Vector, speed: float) -> tuple[trajectory_feed.Waypoint, ...] | None:
         """Return the line; None if a point of it needs the full check."""
         duration = max(PEAK_SPEED * math.dist(start, goal) / speed, 2.0 * _INTERVAL)
         count = max(math.ceil(duration / _INTERVAL), _FEWEST)
         ways = _ways(count)
         angles = []
         for way in ways:
-            point = between(start, goal, way)
+            point = trajectory_feed.between(start, goal, way)
             solved = self._scalar.solve(*point) if self._is_inside(point) else None
             if solved is None or solved[1] & _REFUSED or solved[2] < _MARGIN:
                 return None
@@ -112,11 +107,11 @@ class QuickPlanner(Planner):
         ways: tuple[float, ...],
         angles: list[Vector],
         duration: float,
-    ) -> Iterator[Waypoint]:
+    ) -> Iterator[trajectory_feed.Waypoint]:
         parameters, geometry = self.parameters, self._scalar.geometry
         held = [
             self._scalar.holding_torque(*point, parameters.gravity)
-            for point in (start, between(start, goal, 0.5), goal)
+            for point in (start, trajectory_feed.between(start, goal, 0.5), goal)
         ]
         softness, low, high = 1.0 / self.springs.stiffness, geometry.joint_min, geometry.joint_max
         for index in range(1, len(ways)):
@@ -128,13 +123,13 @@ class QuickPlanner(Planner):
                 min(max(b + e * softness, low), high),
                 min(max(c + f * softness, low), high),
             )
-            yield Waypoint(index / (len(ways) - 1) * duration, led, self.bound((d, e, f)))
+            yield trajectory_feed.Waypoint(index / (len(ways) - 1) * duration, led, self.bound((d, e, f)))
 
 
-class OnePieceFeed(TrajectoryFeed):
+class OnePieceFeed(trajectory_feed.TrajectoryFeed):
     """Sends each line at once and complete: a sender in virtual time never falls silent."""
 
-    def piece(self, time: float, held: bool = False) -> Piece | None:
+    def piece(self, time: float, held: bool = False) -> trajectory_feed.Piece | None:
         """Return the line if it has not been sent yet."""
         if not self._line or math.isfinite(self._sent):
             return None
@@ -198,9 +193,9 @@ class QuickCharger(VirtualCharger):
         self._pads = pads
         self._proportional = proportional
         super().__init__(world, parameters, seed, rig_seed, pads, geometry, profile)
-        self._arrived: tuple[Waypoint, ...] = ()  # the line whose end has been commanded
+        self._arrived: tuple[trajectory_feed.Waypoint, ...] = ()  # the line whose end has been commanded
         self._current = math.nan  # A, into the target at the last observation
-        self._felt: Array | None = None  # N, the last tared frame made in contact
+        self._felt: arrays.Array | None = None  # N, the last tared frame made in contact
         self._largest = 0.0  # N on the taxel with the largest reading
         self._read_at: tuple[float, ...] | None = None  # pose (m, m, rad), force (N), number of the contact, yaw (rad)
 
@@ -209,7 +204,7 @@ class QuickCharger(VirtualCharger):
 
     def _make_machine(self) -> DockingMachine:
         parameters, geometry = self.parameters, self.geometry
-        feed = OnePieceFeed(SERVO_DAMPING / parameters.servo_stiffness)
+        feed = OnePieceFeed(machine.SERVO_DAMPING / parameters.servo_stiffness)
         return DockingMachine(parameters, geometry, QuickPlanner(parameters, geometry), feed, self.profiles)
 
     def tick(self) -> None:
@@ -320,7 +315,7 @@ class QuickCharger(VirtualCharger):
             return False
         if self.excess is not None or not self._proportional:
             self._felt = self.feel(1, 0.0)[0] - self.baseline
-            return float(np.nanmax(self._felt)) >= CONTACT_FORCE
+            return float(np.nanmax(self._felt)) >= machine.CONTACT_FORCE
         assert pose is not None
         known = self._read_at
         if known is None or not self._is_known(known, pose, force):
@@ -328,9 +323,9 @@ class QuickCharger(VirtualCharger):
             self._felt -= self.baseline
             self._largest = float(np.nanmax(self._felt))
             self._read_at = known = (*pose, force, float(self.world.record.contacts), self._yaw())
-        return self._largest * force >= CONTACT_FORCE * known[3]
+        return self._largest * force >= machine.CONTACT_FORCE * known[3]
 
-    def _taxels(self) -> Array | None:
+    def _taxels(self) -> arrays.Array | None:
         """Return the last frame made in contact, at the present force."""
         if self._felt is None or self._read_at is None or not self._read_at[3] > 0.0:
             return self._felt
@@ -348,7 +343,9 @@ class QuickCharger(VirtualCharger):
             return False
         if abs(pose[0] - x) > _SAME_PLACE or abs(pose[1] - y) > _SAME_PLACE:
             return False
-        far = self.world.mechanics.lean is None and abs(self._largest * force / pressed - CONTACT_FORCE) > _SURELY
+        far = (
+            self.world.mechanics.lean is None and abs(self._largest * force / pressed - machine.CONTACT_FORCE) > _SURELY
+        )
         return far or abs(force - pressed) < _SAME_FORCE * pressed
 
     def _yaw(self) -> float:
@@ -362,9 +359,9 @@ class QuickCharger(VirtualCharger):
         pressed, lean = world.mechanics.contact_force, world.mechanics.lean
         return self._pads.frames(world.time, world.misalignment, pressed, count, period, lean)
 
-    def _reply(self, pending: Pending) -> Reply:
-        if pending.request.service in (Service.TARE, Service.ESTIMATE):
+    def _reply(self, pending: Pending) -> observation.Reply:
+        if pending.request.service in (observation.Service.TARE, observation.Service.ESTIMATE):
             raw = self.feel(max(1, round((pending.due - pending.asked) / TICK)), TICK)
-            untared = pending.request.service is Service.TARE
+            untared = pending.request.service is observation.Service.TARE
             pending.frames = list(raw if untared else (raw - self.baseline).clip(min=0.0))
         return super()._reply(pending)

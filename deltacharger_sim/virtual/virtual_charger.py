@@ -6,8 +6,6 @@ world is modelled here: the servo goal at 100 Hz, the delay of services, the con
 data that the robot's topics carry.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable
@@ -16,41 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from deltacharger_core.arrays import Array
-from deltacharger_core.machine import (
-    COLUMNS,
-    CONTACT_FORCE,
-    CURRENT_BOUND,
-    DAMPING_PER_GAIN,
-    DOCK_DISTANCE,
-    FRAME_RATE,
-    PADS,
-    ROWS,
-    SERVO_DAMPING,
-    STIFFNESS_PER_GAIN,
-)
-from deltacharger_core.real_time import late
+from deltacharger_core import arrays, machine, real_time, servo_types
 from deltacharger_core.script import NEXT, Script
-from deltacharger_core.servo_types import MX_64
-from deltacharger_docking.clearance import MisalignmentEstimate
-from deltacharger_docking.codes import State
-from deltacharger_docking.context import Context
+from deltacharger_docking import clearance, codes, context, observation
 from deltacharger_docking.machine import DockingMachine
-from deltacharger_docking.observation import (
-    Command,
-    DockGoal,
-    DockingOutcome,
-    ElectrodePose,
-    Observation,
-    Reading,
-    Reply,
-    Request,
-    Service,
-)
 from deltacharger_docking.parameters import DockingParameters, TargetProfile
 from deltacharger_driver.board.protocol import POWER_RATE, AckError
-from deltacharger_driver.servos.motion import STOP_TIME, JointWatch
-from deltacharger_driver.servos.registers import BusSettings
+from deltacharger_driver.servos import motion, registers
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.trajectory_feed import Waypoint
 from deltacharger_sim.emulators.power import EmulatedPower
@@ -62,9 +32,14 @@ from deltacharger_tactile import PoseEstimator, default_model
 
 TICK = 0.01
 PROFILE = TargetProfile(**LITHIUM_7S)
-FRAME = 1.0 / FRAME_RATE
-GOAL = ElectrodePose((0.0, 0.0, DOCK_DISTANCE), 0.0)
-_ORDERS = (Service.TORQUE_ON, Service.TORQUE_OFF, Service.TARE, Service.PROBE)  # refused if they come too late
+FRAME = 1.0 / machine.FRAME_RATE
+GOAL = observation.ElectrodePose((0.0, 0.0, machine.DOCK_DISTANCE), 0.0)
+_ORDERS = (
+    observation.Service.TORQUE_ON,
+    observation.Service.TORQUE_OFF,
+    observation.Service.TARE,
+    observation.Service.PROBE,
+)  # refused if they come too late
 
 
 @functools.cache
@@ -77,7 +52,7 @@ def packaged_model() -> PoseEstimator:
 class Pending:
     """A pending request: times of request and answer (s), and the frames (N) of its answer."""
 
-    request: Request
+    request: observation.Request
     asked: float
     due: float
     frames: list[np.ndarray]
@@ -120,13 +95,13 @@ class VirtualCharger:
         self.power = self._make_power()
         self._power, self._reported = self.power.report(), 0.0  # the last POWER and its time (s)
         self.machine = self._make_machine()
-        self.distort: Callable[[Observation], Observation] = lambda observation: observation
-        self.answer: dict[Service, Callable[[Reply], Reply | None]] = {}
-        self.states: list[State] = []
-        self.outcome: DockingOutcome | None = None
+        self.distort: Callable[[observation.Observation], observation.Observation] = lambda seen: seen
+        self.answer: dict[observation.Service, Callable[[observation.Reply], observation.Reply | None]] = {}
+        self.states: list[codes.State] = []
+        self.outcome: observation.DockingOutcome | None = None
         self.model: Any = packaged_model()  # predicts from two averaged, tared pads
-        self.baseline = np.zeros((PADS, ROWS, COLUMNS))
-        self.excess: Array | None = None
+        self.baseline = np.zeros((machine.PADS, machine.ROWS, machine.COLUMNS))
+        self.excess: arrays.Array | None = None
         self._tared = False
         self._torque = False
         self._trajectory: tuple[Waypoint, ...] = ()
@@ -135,21 +110,21 @@ class VirtualCharger:
         self._segment = 0
         self._goal = [0.0, 0.0, 0.0]
         self._from = [0.0, 0.0, 0.0]
-        self._bound = [CURRENT_BOUND] * 3
+        self._bound = [machine.CURRENT_BOUND] * 3
         self._pending: list[Pending] = []
-        self._replies: list[Reply] = []
-        self._earlier: list[Reading] = []  # of the servos, since the machine's last step
+        self._replies: list[observation.Reply] = []
+        self._earlier: list[observation.Reading] = []  # of the servos, since the machine's last step
         self._waits = NEXT  # pending condition of the machine
         self._energised, self._limit = False, 0.0  # whether the lease is held, and its largest current (A)
         self._refusal = ""  # why the board did not close
         self._probing = AckError.DONE  # its answer to the last request to probe
         self._probed: tuple[float, float] | None = None  # Ω and V of the last probe, if it has ended
-        self._frame = np.zeros((PADS, ROWS, COLUMNS))
+        self._frame = np.zeros((machine.PADS, machine.ROWS, machine.COLUMNS))
         self._frame_at = -math.inf
-        stiffness, damping = self.parameters.servo_stiffness, SERVO_DAMPING
-        gains = round(stiffness / STIFFNESS_PER_GAIN), round(damping / DAMPING_PER_GAIN)
-        settings = BusSettings("", gains=gains, torque_constant=self.parameters.torque_constant)
-        self._watch = JointWatch(settings, settings.drive(MX_64))
+        stiffness, damping = self.parameters.servo_stiffness, machine.SERVO_DAMPING
+        gains = round(stiffness / machine.STIFFNESS_PER_GAIN), round(damping / machine.DAMPING_PER_GAIN)
+        settings = registers.BusSettings("", gains=gains, torque_constant=self.parameters.torque_constant)
+        self._watch = motion.JointWatch(settings, settings.drive(servo_types.MX_64))
         self._stopped, self._stop_at = "", math.inf  # why and until when servo_node stops the arm
 
     def _make_world(self, world: WorldParameters, tactile: Any, seed: int) -> World:
@@ -169,28 +144,28 @@ class VirtualCharger:
     def _make_machine(self) -> DockingMachine:
         return DockingMachine(self.parameters, self.geometry, profiles=self.profiles)
 
-    def dock(self, goal: DockGoal | None = None, limit: float = 240.0) -> DockingOutcome:
+    def dock(self, goal: observation.DockGoal | None = None, limit: float = 240.0) -> observation.DockingOutcome:
         """Serve a Dock goal to its end."""
-        self.begin(goal or DockGoal(GOAL))
+        self.begin(goal or observation.DockGoal(GOAL))
         return self.finish(limit)
 
-    def begin(self, goal: DockGoal) -> None:
+    def begin(self, goal: observation.DockGoal) -> None:
         """Start a Dock goal; raises the machine's refusal."""
         self.outcome, self._waits = None, NEXT
         self.machine.start_dock(goal, self.observe())
 
-    def start(self, script: Callable[[Context], Script[str]]) -> None:
+    def start(self, script: Callable[[context.Context], Script[str]]) -> None:
         """Start another script on the machine."""
         self.outcome, self._waits = None, NEXT
         self.machine.start(script, self.observe())
 
-    def undock(self, limit: float = 60.0) -> DockingOutcome:
+    def undock(self, limit: float = 60.0) -> observation.DockingOutcome:
         """Serve an Undock goal to its end."""
         self.outcome, self._waits = None, NEXT
         self.machine.start_undock("", self.observe())
         return self.finish(limit)
 
-    def finish(self, limit: float) -> DockingOutcome:
+    def finish(self, limit: float) -> observation.DockingOutcome:
         """Step until the goal has an outcome; raises TimeoutError after `limit` simulated seconds."""
         end = self.now + limit
         while self.outcome is None:
@@ -234,7 +209,7 @@ class VirtualCharger:
         if self.machine.outcome is not None:
             self.outcome, self.machine.outcome = self.machine.outcome, None
 
-    def _follow(self, command: Command) -> None:
+    def _follow(self, command: observation.Command) -> None:
         if command.trajectory is not None and not self._stopped:
             self._trajectory = command.trajectory
             self._started = self.now
@@ -265,11 +240,11 @@ class VirtualCharger:
         if self.now - self._reported >= 1.0 / POWER_RATE - 1e-6:
             self._power, self._reported = self.power.report(), self.now
 
-    def observe(self) -> Observation:
+    def observe(self) -> observation.Observation:
         """Return the observation that the topics would carry."""
         angles, currents = self._reading()
         power, stage = self._power, self.power.parameters
-        return Observation(
+        return observation.Observation(
             time=self.now,
             angles=angles,
             currents=currents,
@@ -295,7 +270,7 @@ class VirtualCharger:
             taxels=self._taxels(),
         )
 
-    def _taxels(self) -> Array | None:
+    def _taxels(self) -> arrays.Array | None:
         """Return the newest tared frame (2, 10, 10) N."""
         return self._frame if self._tared else None
 
@@ -306,7 +281,7 @@ class VirtualCharger:
 
     def _feels(self) -> bool:
         """Return whether some taxel is in contact."""
-        return bool(np.fmax.reduce(self._frame, axis=None) >= CONTACT_FORCE)  # `nanmax` takes 4 times as long
+        return bool(np.fmax.reduce(self._frame, axis=None) >= machine.CONTACT_FORCE)  # `nanmax` takes 4 times as long
 
     def _angles(self) -> list[float]:
         return [self.plant.read_servo(index)[0] for index in range(3)]
@@ -346,7 +321,7 @@ class VirtualCharger:
         (a, u, i, _, _), (b, v, j, _, _), (c, w, k, _, _) = servo(0), servo(1), servo(2)
         fault = self._watch.fault(self.now, self._goal, (a, b, c), (u, v, w), (i, j, k))
         if fault and not self._stopped:
-            self._stopped, self._stop_at = fault, self.now + STOP_TIME
+            self._stopped, self._stop_at = fault, self.now + motion.STOP_TIME
             self._trajectory, self._goal = (), [a, b, c]
             self.power.open(self.now)
         if self.now >= self._stop_at:
@@ -359,49 +334,57 @@ class VirtualCharger:
         raw = np.array(self.plant.read_taxels())
         self._frame = np.maximum(raw - self.baseline, 0.0)
         for pending in self._pending:
-            pending.frames.append(raw if pending.request.service is Service.TARE else self._frame)
+            pending.frames.append(raw if pending.request.service is observation.Service.TARE else self._frame)
 
-    def _accept(self, request: Request) -> None:
-        delay = {Service.TARE: 0.2, Service.PROBE: 0.2, Service.ESTIMATE: (request.frames + 1) * FRAME}
+    def _accept(self, request: observation.Request) -> None:
+        delay = {
+            observation.Service.TARE: 0.2,
+            observation.Service.PROBE: 0.2,
+            observation.Service.ESTIMATE: (request.frames + 1) * FRAME,
+        }
         self._pending.append(Pending(request, self.now, self.now + delay.get(request.service, 0.02), []))
-        if request.service is Service.PROBE:
+        if request.service is observation.Service.PROBE:
             self._probing, self._probed = self.power.start_probe(self.now), None
 
     def _serve(self) -> None:
         for pending in [pending for pending in self._pending if self.now >= pending.due]:
             self._pending.remove(pending)
-            answer: Reply | None = self._reply(pending)
+            answer: observation.Reply | None = self._reply(pending)
             if pending.request.service in self.answer and answer is not None:
                 answer = self.answer[pending.request.service](answer)
             if answer is not None:
                 self._replies.append(answer)
 
-    def _reply(self, pending: Pending) -> Reply:
+    def _reply(self, pending: Pending) -> observation.Reply:
         number, service = pending.request.number, pending.request.service
-        if service in _ORDERS and (refusal := late(self.now - pending.asked)):
-            return Reply(number, False, refusal)
-        if service in (Service.TORQUE_ON, Service.TORQUE_OFF):
-            self._torque = service is Service.TORQUE_ON
+        if service in _ORDERS and (refusal := real_time.late(self.now - pending.asked)):
+            return observation.Reply(number, False, refusal)
+        if service in (observation.Service.TORQUE_ON, observation.Service.TORQUE_OFF):
+            self._torque = service is observation.Service.TORQUE_ON
             self._trajectory, self._goal = (), self._angles()
             self._stopped, self._stop_at = "", math.inf
             self._watch.begin_at(self._goal)
-        elif service is Service.TARE:
+        elif service is observation.Service.TARE:
             self.baseline, self._tared = np.mean(pending.frames, axis=0), True
             if self.excess is not None:
                 self.baseline -= self.excess
-        elif service is Service.OPEN:
+        elif service is observation.Service.OPEN:
             self.power.open(self.now)  # clears a latched fault
-        elif service is Service.PROBE:
+        elif service is observation.Service.PROBE:
             found = None if self._probing else self._probed or self.power.poll_probe(self.now)
             if found is None:
-                return Reply(number, False, f"the board refused: {(self._probing or AckError.NOT_NOW).name}")
-            return Reply(number, True, resistance=found[0], target_voltage=found[1])
-        elif service is Service.ESTIMATE:
+                return observation.Reply(
+                    number, False, f"the board refused: {(self._probing or AckError.NOT_NOW).name}"
+                )
+            return observation.Reply(number, True, resistance=found[0], target_voltage=found[1])
+        elif service is observation.Service.ESTIMATE:
             left, right = np.mean(pending.frames, axis=0)
-            return Reply(number, True, estimate=MisalignmentEstimate.of(self.model.predict(left, right)))
-        elif service is Service.DETECT:
-            return Reply(number, True, detection=GOAL)
-        return Reply(number, True)
+            return observation.Reply(
+                number, True, estimate=clearance.MisalignmentEstimate.of(self.model.predict(left, right))
+            )
+        elif service is observation.Service.DETECT:
+            return observation.Reply(number, True, detection=GOAL)
+        return observation.Reply(number, True)
 
 
 class Effort:

@@ -20,14 +20,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_core.arrays import Array, Mask
-from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, ROWS
+from deltacharger_core import arrays, machine
+from deltacharger_tactile import dataset, errors, estimator, parameters
 from deltacharger_tactile.calibration.rig import AXES, SHIFT_LIMIT, TactileCalibration
 from deltacharger_tactile.contact import ContactModel
-from deltacharger_tactile.dataset import Dataset
-from deltacharger_tactile.errors import SensorCalibrationError
-from deltacharger_tactile.estimator import PoseEstimator
-from deltacharger_tactile.parameters import SHAPE, PadContactParameters, PadDockingParameters, SensorParameters
 
 _DEAD_SHARE = 0.05  # of the dockings in which the board reported a taxel dead; the estimator handles single glitches
 _EVENTS = 3  # dockings that must show it
@@ -53,10 +49,10 @@ class KnownDockings:
         threshold: readings below it were recorded as 0, N.
     """
 
-    frames: Array
-    pose: Array
-    truth: Array
-    tares: Array
+    frames: arrays.Array
+    pose: arrays.Array
+    truth: arrays.Array
+    tares: arrays.Array
     rig: int
     threshold: float
 
@@ -79,13 +75,13 @@ class PadFaults:
         noisy: scatters without pressure.
     """
 
-    reported: Mask
-    silent: Mask
-    loud: Mask
-    noisy: Mask
+    reported: arrays.Mask
+    silent: arrays.Mask
+    loud: arrays.Mask
+    noisy: arrays.Mask
 
     @property
-    def dead(self) -> Mask:
+    def dead(self) -> arrays.Mask:
         """All faulty taxels."""
         return self.reported | self.silent | self.loud | self.noisy
 
@@ -102,12 +98,12 @@ class Tares:
     """
 
     sessions: int
-    drift: Array
-    drifted: Mask
-    outlying: Mask
+    drift: arrays.Array
+    drifted: arrays.Mask
+    outlying: arrays.Mask
 
 
-def select(data: Dataset, rig: int | None = None) -> KnownDockings:
+def select(data: dataset.Dataset, rig: int | None = None) -> KnownDockings:
     """Select the dockings of one rig; rows of the same docking are averaged.
 
     Args:
@@ -119,15 +115,15 @@ def select(data: Dataset, rig: int | None = None) -> KnownDockings:
     """
     rigs = np.unique(data.rig).tolist()
     if rig is None and len(rigs) > 1:
-        raise SensorCalibrationError("the data", f"they hold the rigs {_listed(rigs)}; pick one with --rig N")
+        raise errors.SensorCalibrationError("the data", f"they hold the rigs {_listed(rigs)}; pick one with --rig N")
     chosen = rigs[0] if rig is None else rig
     if chosen not in rigs:
-        raise SensorCalibrationError(f"rig {chosen}", f"not in the data, which hold {_listed(rigs)}")
+        raise errors.SensorCalibrationError(f"rig {chosen}", f"not in the data, which hold {_listed(rigs)}")
     rows = np.flatnonzero(data.rig == chosen)
     _, first, docking = np.unique(data.attempt[rows], return_index=True, return_inverse=True)
     readings = np.stack([data.left[rows], data.right[rows]], axis=1).astype(float)
     readings[data.dead[rows]] = np.nan
-    frames = np.zeros((len(first), *SHAPE))
+    frames = np.zeros((len(first), *parameters.SHAPE))
     np.add.at(frames, docking, readings)
     frames /= np.bincount(docking)[:, None, None, None]
     once = rows[first]
@@ -166,30 +162,30 @@ def find(dockings: KnownDockings) -> PadFaults:
     )
 
 
-def _silent(frames: Array, threshold: float) -> Mask:
+def _silent(frames: arrays.Array, threshold: float) -> arrays.Mask:
     """Return taxels that read nothing while their two nearest neighbours in the row read much."""
     live = np.where(np.isfinite(frames), frames, 0.0)
     beside = np.empty_like(live)
     beside[..., 1:-1] = np.minimum(live[..., :-2], live[..., 2:])
     beside[..., 0] = np.minimum(live[..., 1], live[..., 2])
     beside[..., -1] = np.minimum(live[..., -2], live[..., -3])
-    pressed = beside >= max(CONTACT_FORCE, 3.0 * threshold)
+    pressed = beside >= max(machine.CONTACT_FORCE, 3.0 * threshold)
     nothing = pressed & (live < _SILENT * beside)
     count = pressed.sum(axis=0)
     return np.asarray((count >= _EVENTS) & (nothing.sum(axis=0) >= _SILENT_SHARE * count))
 
 
-def _away(pose: Array) -> Mask:
+def _away(pose: arrays.Array) -> arrays.Mask:
     """Return (N, 2, 10, 10): taxels that the ridges cannot reach at the commanded poses (N, 3)."""
-    contact = PadContactParameters()
-    line = contact.pad_side * (0.5 - (np.arange(ROWS) + 0.5) / ROWS)
-    v, u = np.meshgrid(line, line[:COLUMNS], indexing="ij")
+    contact = parameters.PadContactParameters()
+    line = contact.pad_side * (0.5 - (np.arange(machine.ROWS) + 0.5) / machine.ROWS)
+    v, u = np.meshgrid(line, line[: machine.COLUMNS], indexing="ij")
     x = np.stack([u + contact.pad_distance, u - contact.pad_distance])
     horizontal, vertical, angle = (pose[:, axis, None, None, None] for axis in range(3))
     return np.asarray(np.abs(np.cos(angle) * (v - vertical) - np.sin(angle) * (x - horizontal)) > _AWAY)
 
 
-def compare_tares(dockings: KnownDockings, dead: Mask) -> Tares:
+def compare_tares(dockings: KnownDockings, dead: arrays.Mask) -> Tares:
     """Compare the sessions' baselines without the taxels in `dead`."""
     tares = np.where(dead, np.nan, dockings.tares)
     known = np.isfinite(tares).all(axis=0)
@@ -203,16 +199,16 @@ FEWEST = 5
 """Fewest dockings in range for a calibration."""
 JITTER = np.array(
     [
-        PadDockingParameters().position_jitter,
-        PadDockingParameters().position_jitter,
-        PadDockingParameters().angle_jitter,
+        parameters.PadDockingParameters().position_jitter,
+        parameters.PadDockingParameters().position_jitter,
+        parameters.PadDockingParameters().angle_jitter,
     ]
 )
 """Standard deviation of (horizontal, vertical, angle) of a docking about its commanded pose: m, m, rad."""
 MISFIT_LIMIT = 0.19
 """Share of the readings (rms) that contact model and gains may leave unexplained. Simulated rigs leave at most 0.16,
 0.19 if gains spread by 25 % (ten dockings), and at least 0.20 if the ridge is 8 instead of 6 mm."""
-_PRIOR = SensorParameters().gain_spread
+_PRIOR = parameters.SensorParameters().gain_spread
 _FLOOR = 0.12  # N, constant part of a reading's error: offsets of a contact, noise
 _MODEL_ERROR = 0.2  # of a reading: errors of pose, ridge and elastomer
 _ROUNDS = 4
@@ -244,8 +240,8 @@ class PadFit:
     misfit: float
     load_shift: float
     load_shift_error: float
-    bias: Array
-    bias_error: Array
+    bias: arrays.Array
+    bias_error: arrays.Array
 
 
 @dataclass(frozen=True)
@@ -261,15 +257,17 @@ class Worth:
         worse: (3,) whether the calibration is worse by a fifth and by three standard errors.
     """
 
-    before: Array
-    after: Array
+    before: arrays.Array
+    after: arrays.Array
     count: int
     in_range: tuple[float, float]
     known: bool
-    worse: Mask
+    worse: arrays.Mask
 
 
-def predict(model: PoseEstimator, calibration: TactileCalibration, frames: Array) -> tuple[Array, Array, Mask]:
+def predict(
+    model: estimator.PoseEstimator, calibration: TactileCalibration, frames: arrays.Array
+) -> tuple[arrays.Array, arrays.Array, arrays.Mask]:
     """Return calibrated poses (N, 3), standard deviations (N, 3) and in_range (N,) of frames (N, 2, 10, 10) N."""
     pads = calibration.apply(frames[:, 0], frames[:, 1])
     estimate = calibration.correct(model.predict(*pads), model.limits)
@@ -278,7 +276,7 @@ def predict(model: PoseEstimator, calibration: TactileCalibration, frames: Array
     return pose, spread, np.asarray(estimate.in_range)
 
 
-def fit(dockings: KnownDockings, model: PoseEstimator) -> PadFit:
+def fit(dockings: KnownDockings, model: estimator.PoseEstimator) -> PadFit:
     """Learn from dockings of one rig.
 
     Args:
@@ -289,7 +287,7 @@ def fit(dockings: KnownDockings, model: PoseEstimator) -> PadFit:
         SensorCalibrationError: too few dockings are in range, or the data lack readings that the robot uses.
     """
     if dockings.threshold > model.threshold:
-        raise SensorCalibrationError(
+        raise errors.SensorCalibrationError(
             f"rig {dockings.rig}",
             f"the data lack readings below {dockings.threshold:g} N, the robot needs {model.threshold:g} N and up; "
             f"generate with --threshold {model.threshold:g}",
@@ -298,7 +296,7 @@ def fit(dockings: KnownDockings, model: PoseEstimator) -> PadFit:
     pose, _, usable = predict(model, made, dockings.frames)
     count = int(usable.sum())
     if count < FEWEST:
-        raise SensorCalibrationError(
+        raise errors.SensorCalibrationError(
             f"rig {dockings.rig}",
             f"{count} of {len(dockings)} dockings are in range of the pose model, at least {FEWEST} must be; "
             "dock within ±8 mm and ±10°, or check the pads",
@@ -319,7 +317,7 @@ def fit(dockings: KnownDockings, model: PoseEstimator) -> PadFit:
     return PadFit(made, count, misfit, shift, shift_error, bias, error)
 
 
-def judge(dockings: KnownDockings, model: PoseEstimator) -> Worth:
+def judge(dockings: KnownDockings, model: estimator.PoseEstimator) -> Worth:
     """Calibrate with four fifths of the dockings and test on the rest, five times."""
     order = np.random.default_rng(0).permutation(len(dockings))
     neutral = TactileCalibration(dead=find(dockings).dead)
@@ -331,7 +329,7 @@ def judge(dockings: KnownDockings, model: PoseEstimator) -> Worth:
         others, held_out = np.delete(order, np.s_[fold::_FOLDS]), order[fold::_FOLDS]
         try:
             made = fit(dockings.part(others), model).calibration
-        except SensorCalibrationError:  # too few of the others are in range for a calibration
+        except errors.SensorCalibrationError:  # too few of the others are in range for a calibration
             made = neutral
         with_it[held_out], _, has[held_out] = predict(model, made, dockings.frames[held_out])
     both = had & has
@@ -354,14 +352,14 @@ def _kept(value: float, error: float, doubt: float) -> float:
     return max(0.0, 1.0 - doubt * (error / value) ** 2) if value else 0.0
 
 
-def _gains(frames: Array, pose: Array, threshold: float) -> tuple[Array, float]:
+def _gains(frames: arrays.Array, pose: arrays.Array, threshold: float) -> tuple[arrays.Array, float]:
     """Return gains (2, 10, 10), mean 1 on each pad, and the misfit, of frames (N, 2, 10, 10) N at poses (N, 3)."""
-    docking = PadDockingParameters()
+    docking = parameters.PadDockingParameters()
     tilt = pose[:, 1::-1] * [docking.tilt_per_y, docking.tilt_per_x]
     live = np.isfinite(frames)
     readings = np.where(live, frames, 0.0)
     model = ContactModel().solve(pose, readings.sum(axis=(1, 2, 3)), tilt) * live
-    gain = np.ones(SHAPE)
+    gain = np.ones(parameters.SHAPE)
     for _ in range(_ROUNDS):
         expected = _loaded(model, readings, gain)
         # Readings that the recording's threshold cut to 0 would pass for a low gain.
@@ -375,14 +373,16 @@ def _gains(frames: Array, pose: Array, threshold: float) -> tuple[Array, float]:
     return gain, float(np.sqrt(np.sum((left_over * counted) ** 2) / np.sum((readings * counted) ** 2)))
 
 
-def _loaded(model: Array, readings: Array, gain: Array) -> Array:
+def _loaded(model: arrays.Array, readings: arrays.Array, gain: arrays.Array) -> arrays.Array:
     """Return the model's readings scaled to the load of each pad in each docking; 0 if the load is too small."""
     seen = model * gain
     scale = np.sum(readings * seen, axis=(2, 3)) / np.maximum(np.sum(seen * seen, axis=(2, 3)), 1e-9)
     return np.asarray(model * np.where(seen.sum(axis=(2, 3)) >= _LEAST_LOAD, scale, 0.0)[:, :, None, None])
 
 
-def _load_shift(dockings: KnownDockings, model: PoseEstimator, made: TactileCalibration) -> tuple[float, float, float]:
+def _load_shift(
+    dockings: KnownDockings, model: estimator.PoseEstimator, made: TactileCalibration
+) -> tuple[float, float, float]:
     """Return the load shift that fits the commanded horizontal offsets best, its error (both N), and m per N."""
     tried = np.arange(-SHIFT_LIMIT, SHIFT_LIMIT + 0.5 * _STEP, _STEP)
     found, variance = np.empty((2, len(tried), len(dockings)))
@@ -407,7 +407,9 @@ def _load_shift(dockings: KnownDockings, model: PoseEstimator, made: TactileCali
     return shift, error, float(np.abs(np.mean(slope[np.isfinite(slope)]))) if np.isfinite(slope).any() else 0.0
 
 
-def _bias(dockings: KnownDockings, model: PoseEstimator, made: TactileCalibration) -> tuple[Array, Array]:
+def _bias(
+    dockings: KnownDockings, model: estimator.PoseEstimator, made: TactileCalibration
+) -> tuple[arrays.Array, arrays.Array]:
     """Return the mean error (3,) against the commanded poses and its standard error, jitter included."""
     found, spread, usable = predict(model, made, dockings.frames)
     if usable.sum() < FEWEST:

@@ -15,13 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from deltacharger_core.arrays import Array, Mask
-from deltacharger_core.files import brief
-from deltacharger_core.machine import PADS
-from deltacharger_core.yaml_file import YamlError, read_yaml, write_yaml
-from deltacharger_tactile.errors import FrameError, SensorCalibrationError
-from deltacharger_tactile.estimator import Estimate, Limits, angle_classes, position_classes, shaped
-from deltacharger_tactile.parameters import ANGLE_LIMIT, POSITION_LIMIT, SHAPE
+from deltacharger_core import arrays, files, machine, yaml_file
+from deltacharger_tactile import errors, estimator, parameters
+from deltacharger_tactile.parameters import SHAPE
 
 VERSION = 1
 AXES = ("horizontal", "vertical", "angle")
@@ -58,11 +54,11 @@ class TactileCalibration:
         SensorCalibrationError: a value is out of bounds or has the wrong shape.
     """
 
-    gain: Array = field(default_factory=lambda: np.ones(SHAPE))
-    dead: Mask = field(default_factory=lambda: np.zeros(SHAPE, dtype=bool))
+    gain: arrays.Array = field(default_factory=lambda: np.ones(SHAPE))
+    dead: arrays.Mask = field(default_factory=lambda: np.zeros(SHAPE, dtype=bool))
     load_shift: float = 0.0
-    bias: Array = field(default_factory=lambda: np.zeros(3))
-    bias_stddev: Array = field(default_factory=lambda: np.zeros(3))
+    bias: arrays.Array = field(default_factory=lambda: np.zeros(3))
+    bias_stddev: arrays.Array = field(default_factory=lambda: np.zeros(3))
     rig: int = 0
     sensor: str = ""
     model: str = ""
@@ -73,9 +69,9 @@ class TactileCalibration:
 
     def __post_init__(self) -> None:
         if self.gain.shape != SHAPE or self.dead.shape != SHAPE:
-            raise SensorCalibrationError("gain", f"gain and dead must have the shape {SHAPE}")
+            raise errors.SensorCalibrationError("gain", f"gain and dead must have the shape {SHAPE}")
         if self.bias.shape != (3,) or self.bias_stddev.shape != (3,):
-            raise SensorCalibrationError("bias", "bias and bias_stddev must have three values")
+            raise errors.SensorCalibrationError("bias", "bias and bias_stddev must have three values")
         _bound("gain", self.gain, GAIN_LOW, GAIN_HIGH)
         _bound("load_shift", self.load_shift, -SHIFT_LIMIT, SHIFT_LIMIT)
         for axis, value, stddev in zip(AXES, self.bias, self.bias_stddev, strict=True):
@@ -83,7 +79,7 @@ class TactileCalibration:
             _bound(f"bias.{axis}", value, -limit, limit)
             _bound(f"bias_stddev.{axis}", stddev, 0.0, limit)
 
-    def apply(self, left: ArrayLike, right: ArrayLike) -> tuple[Array, Array]:
+    def apply(self, left: ArrayLike, right: ArrayLike) -> tuple[arrays.Array, arrays.Array]:
         """Return both pads as a rig without these faults would read them.
 
         Args:
@@ -95,21 +91,21 @@ class TactileCalibration:
         """
         pads = [np.asarray(pad, dtype=float) for pad in (left, right)]
         if pads[0].shape != pads[1].shape or pads[0].shape[-2:] != SHAPE[1:]:
-            raise FrameError(pads[0].shape, pads[1].shape)
-        for index in range(PADS):
+            raise errors.FrameError(pads[0].shape, pads[1].shape)
+        for index in range(machine.PADS):
             pads[index] = np.where(self.dead[index], np.nan, pads[index] / self.gain[index])
         if self.load_shift == 0.0:
             return pads[0], pads[1]
         loads = [np.where(pad >= _LOADED, pad, 0.0).sum(axis=(-2, -1)) for pad in pads]
         lighter = np.minimum(*loads)
-        most = np.where(lighter >= Limits().pad_force, _SHARE * lighter, 0.0)
+        most = np.where(lighter >= estimator.Limits().pad_force, _SHARE * lighter, 0.0)
         moved = np.clip(0.5 * self.load_shift, -most, most)
         factors = [
             1.0 + sign * moved / np.maximum(load, _LOADED) for sign, load in zip((-1.0, 1.0), loads, strict=True)
         ]
         return pads[0] * factors[0][..., None, None], pads[1] * factors[1][..., None, None]
 
-    def correct(self, estimate: Estimate, limits: Limits | None = None) -> Estimate:
+    def correct(self, estimate: estimator.Estimate, limits: estimator.Limits | None = None) -> estimator.Estimate:
         """Subtract the constant error from an estimate made from the output of `apply`.
 
         Standard deviations grow by the error's uncertainty. Classes and `in_range` follow the corrected pose. An
@@ -121,9 +117,9 @@ class TactileCalibration:
         """
         if not self.bias.any() and not self.bias_stddev.any():
             return estimate
-        allowed = limits or Limits()
+        allowed = limits or estimator.Limits()
         shape = np.shape(estimate.angle)
-        given = {item.name: np.asarray(getattr(estimate, item.name)) for item in dataclasses.fields(Estimate)}
+        given = {item.name: np.asarray(getattr(estimate, item.name)) for item in dataclasses.fields(estimator.Estimate)}
         pose = {axis: given[axis].ravel() - bias for axis, bias in zip(AXES, self.bias, strict=True)}
         spread = {
             axis: np.hypot(given[f"{axis}_stddev"].ravel(), stddev)
@@ -134,16 +130,18 @@ class TactileCalibration:
         across = given["across"].ravel() - by_x * self.bias[0] - by_y * self.bias[1]
         doubt = np.hypot(by_x * self.bias_stddev[0], by_y * self.bias_stddev[1])
         across_spread = np.hypot(given["across_stddev"].ravel(), doubt)
-        within = (np.abs(across) <= POSITION_LIMIT) & (np.abs(pose["angle"]) <= ANGLE_LIMIT)
+        within = (np.abs(across) <= parameters.POSITION_LIMIT) & (np.abs(pose["angle"]) <= parameters.ANGLE_LIMIT)
         precise = (across_spread <= allowed.across_stddev) & (spread["angle"] <= allowed.angle_stddev)
         in_range = given["in_range"].ravel() & within
         changed: dict[str, NDArray[Any]] = {"in_range": in_range, "sure": given["sure"].ravel() & in_range & precise}
         changed |= {"across": across, "across_stddev": across_spread}
         for axis in AXES:
-            classes = angle_classes if axis == "angle" else position_classes
+            classes = estimator.angle_classes if axis == "angle" else estimator.position_classes
             changed |= {axis: pose[axis], f"{axis}_stddev": spread[axis]}
             changed[f"{axis}_probability"] = classes(pose[axis], spread[axis])
-        return dataclasses.replace(estimate, **{name: shaped(value, shape) for name, value in changed.items()})
+        return dataclasses.replace(
+            estimate, **{name: estimator.shaped(value, shape) for name, value in changed.items()}
+        )
 
     def save(self, path: str | Path, comment: str = "") -> None:
         """Write the calibration as YAML, with `comment` above it.
@@ -151,7 +149,7 @@ class TactileCalibration:
         Raises:
             OSError: the file cannot be written.
         """
-        write_yaml(path, _as_mapping(self), comment)
+        yaml_file.write_yaml(path, _as_mapping(self), comment)
 
     @staticmethod
     def load(path: str | Path) -> TactileCalibration:
@@ -163,19 +161,21 @@ class TactileCalibration:
         """
         source = str(path)
         try:
-            content = read_yaml(path)
-        except YamlError as error:
-            raise SensorCalibrationError(source, f"{error.problem}; make it again with `calibrate tactile`") from error
+            content = yaml_file.read_yaml(path)
+        except yaml_file.YamlError as error:
+            raise errors.SensorCalibrationError(
+                source, f"{error.problem}; make it again with `calibrate tactile`"
+            ) from error
         try:
             return _from_mapping(content)
-        except SensorCalibrationError as error:
-            raise SensorCalibrationError(source, str(error)) from error
+        except errors.SensorCalibrationError as error:
+            raise errors.SensorCalibrationError(source, str(error)) from error
 
 
 def _bound(name: str, value: ArrayLike, low: float, high: float) -> None:
     values = np.asarray(value, dtype=float)
     if not np.all((values >= low) & (values <= high)):  # NaN is neither
-        raise SensorCalibrationError(name, f"outside {low:g} to {high:g}; calibrate again")
+        raise errors.SensorCalibrationError(name, f"outside {low:g} to {high:g}; calibrate again")
 
 
 def _as_mapping(calibration: TactileCalibration) -> dict[str, Any]:
@@ -204,12 +204,16 @@ _PLAIN: dict[str, type] = {
 def _from_mapping(content: Any) -> TactileCalibration:
     keys = ("version", *_PLAIN, "bias", "bias_stddev", "dead", "gain")
     if not isinstance(content, dict) or set(content) != set(keys):
-        raise SensorCalibrationError("the file", f"must be a mapping of exactly {', '.join(keys)}; calibrate again")
+        raise errors.SensorCalibrationError(
+            "the file", f"must be a mapping of exactly {', '.join(keys)}; calibrate again"
+        )
     if content["version"] != VERSION:
-        raise SensorCalibrationError("version", f"{brief(content['version'])} is not {VERSION}; calibrate again")
+        raise errors.SensorCalibrationError(
+            "version", f"{files.brief(content['version'])} is not {VERSION}; calibrate again"
+        )
     for name, kind in _PLAIN.items():
         if type(content[name]) is not kind:
-            raise SensorCalibrationError(name, f"{brief(content[name])} is not of type {kind.__name__}")
+            raise errors.SensorCalibrationError(name, f"{files.brief(content[name])} is not of type {kind.__name__}")
     return TactileCalibration(
         gain=_numbers("gain", content, SIDES),
         dead=_taxels(content["dead"]),
@@ -219,19 +223,21 @@ def _from_mapping(content: Any) -> TactileCalibration:
     )
 
 
-def _numbers(where: str, content: dict[str, Any], names: tuple[str, ...]) -> Array:
+def _numbers(where: str, content: dict[str, Any], names: tuple[str, ...]) -> arrays.Array:
     """Return the numbers of `names` in the mapping `where`, one row each; `TactileCalibration` checks their bounds."""
     try:
         return np.array([content[where][name] for name in names], dtype=float)
     except (TypeError, ValueError, KeyError, OverflowError, RecursionError) as error:
-        raise SensorCalibrationError(where, f"must have numbers for {', '.join(names)}; calibrate again") from error
+        raise errors.SensorCalibrationError(
+            where, f"must have numbers for {', '.join(names)}; calibrate again"
+        ) from error
 
 
-def _taxels(value: Any) -> Mask:
+def _taxels(value: Any) -> arrays.Mask:
     dead = np.zeros(SHAPE, dtype=bool)
     for place in value if isinstance(value, list) else [value]:
         whole = isinstance(place, list) and len(place) == len(SHAPE) and all(type(part) is int for part in place)
         if not whole or not all(0 <= part < size for part, size in zip(place, SHAPE, strict=True)):
-            raise SensorCalibrationError("dead", f"{brief(place)} is not [pad 0–1, row 0–9, column 0–9]")
+            raise errors.SensorCalibrationError("dead", f"{files.brief(place)} is not [pad 0–1, row 0–9, column 0–9]")
         dead[tuple(place)] = True
     return dead

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The interface of all classifiers (load, predict, predict_proba), and the packaged nine models of the paper."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,13 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import deltacharger_tactile
+from deltacharger_core import machine, texts
 from deltacharger_core.arrays import Array
-from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, PADS, ROWS
-from deltacharger_core.texts import cut
+from deltacharger_tactile import errors, parameters
 from deltacharger_tactile.classifiers import runtime
 from deltacharger_tactile.classifiers.runtime import KINDS
-from deltacharger_tactile.errors import ModelError
-from deltacharger_tactile.parameters import ANGLE_CLASSES, POSITION_CLASSES, TactileParameters
 
 TARGETS = ("angle", "vertical", "horizontal")
 MODELS = ("logistic", "svm", "knn", "tree", "gbdt", "forest", "xgboost", "nn", "cnn")
@@ -27,7 +23,7 @@ MODELS = ("logistic", "svm", "knn", "tree", "gbdt", "forest", "xgboost", "nn", "
 
 def classes(target: str) -> int:
     """Return the number of classes of a target."""
-    return ANGLE_CLASSES if target == "angle" else len(POSITION_CLASSES)
+    return parameters.ANGLE_CLASSES if target == "angle" else len(parameters.POSITION_CLASSES)
 
 
 Self = TypeVar("Self", bound="Classifier")
@@ -51,9 +47,9 @@ class Classifier:
 
     names: tuple[str, ...] = MODELS
 
-    def __init__(self, name: str, target: str, threshold: float = CONTACT_FORCE) -> None:
+    def __init__(self, name: str, target: str, threshold: float = machine.CONTACT_FORCE) -> None:
         if name not in self.names or target not in TARGETS:
-            raise ModelError(name, f"known are {', '.join(self.names)} for {', '.join(TARGETS)}, not '{target}'")
+            raise errors.ModelError(name, f"known are {', '.join(self.names)} for {', '.join(TARGETS)}, not '{target}'")
         self.name = name
         self.target = target
         self.threshold = threshold
@@ -64,7 +60,7 @@ class Classifier:
     def predict_proba(self, frames: ArrayLike) -> Array:
         """Return class probabilities (N, C) of frames (N, 2, 10, 10) N, NaN where dead."""
         if not self._kind:
-            raise ModelError(self.name, "it is not trained")
+            raise errors.ModelError(self.name, "it is not trained")
         return KINDS[self._kind](self._arrays, self._inputs(frames))
 
     def predict(self, frames: ArrayLike) -> NDArray[np.int64]:
@@ -83,13 +79,13 @@ class Classifier:
         try:
             model = cls(about.pop("name"), about.pop("target"), about.pop("threshold"))
             model._restore(about, arrays)
-            shares = model.predict_proba(np.ones((1, PADS, ROWS, COLUMNS)))
-        except ModelError as error:
-            raise ModelError(str(path), error.reason) from error
+            shares = model.predict_proba(np.ones((1, machine.PADS, machine.ROWS, machine.COLUMNS)))
+        except errors.ModelError as error:
+            raise errors.ModelError(str(path), error.reason) from error
         except Exception as error:  # arrays of a foreign file may raise anything
-            raise ModelError(str(path), "its arrays and description do not fit together") from error
+            raise errors.ModelError(str(path), "its arrays and description do not fit together") from error
         if shares.shape != (1, classes(model.target)) or not np.isclose(shares.sum(), 1.0):
-            raise ModelError(str(path), "it does not give probabilities")
+            raise errors.ModelError(str(path), "it does not give probabilities")
         return model
 
     def _restore(self, about: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
@@ -105,7 +101,7 @@ class Classifier:
 
 def readings_of(frames: ArrayLike) -> Array:
     """Return frames as (N, 2, 10, 10) N."""
-    return np.asarray(frames, dtype=float).reshape(-1, PADS, ROWS, COLUMNS)
+    return np.asarray(frames, dtype=float).reshape(-1, machine.PADS, machine.ROWS, machine.COLUMNS)
 
 
 FOLDER = deltacharger_tactile.MODELS
@@ -125,15 +121,15 @@ def load(name: str) -> Mapping[str, Classifier]:
         ModelError: no such model, or one of its files is from another generator.
     """
     if name not in MODELS:
-        raise ModelError(cut(name, 40), f"the packaged classifiers are {', '.join(MODELS)}")
+        raise errors.ModelError(texts.cut(name, 40), f"the packaged classifiers are {', '.join(MODELS)}")
     return {target: _load(path(name, target)) for target in TARGETS}
 
 
 @functools.cache
 def _load(file: Path) -> Classifier:
     model = Classifier.load(file)
-    wanted = TactileParameters().digest()
+    wanted = parameters.TactileParameters().digest()
     if model.about.get(GENERATOR) != wanted:
-        found = cut(str(model.about.get(GENERATOR)), 16)
-        raise ModelError(str(file), f"it was trained on the generator {found} and this version has {wanted}")
+        found = texts.cut(str(model.about.get(GENERATOR)), 16)
+        raise errors.ModelError(str(file), f"it was trained on the generator {found} and this version has {wanted}")
     return model

@@ -5,8 +5,6 @@ Each kind is a function of arrays (named as in the file) and inputs. Trees compa
 if it used that), so that a reading on a threshold takes the same branch.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any

@@ -12,19 +12,13 @@ clock is subtracted from ROS time, so steps of ROS time do no harm.
 Other cameras have their own drivers and need no camera_node.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 
 from rclpy.node import Node
 
 from deltacharger_core.frames import CAMERA, FrameParameters
-from deltacharger_core.ros import node_support
-from deltacharger_core.ros.clock import steady_timer
-from deltacharger_core.ros.diagnostics import ERROR, OK, Diagnostics
-from deltacharger_core.ros.log import Log
-from deltacharger_core.ros.parameters import declare_all, reject_unknown
+from deltacharger_core.ros import clock, diagnostics, log, node_support, parameters
 from deltacharger_vision.cameras.oak_pipeline import CameraKeeper, OakCamera, OakImage
 from deltacharger_vision.parameters import OakSettings
 from deltacharger_vision.ros.messages import CameraPublishers
@@ -43,15 +37,15 @@ class CameraNode(Node):
 
     def __init__(self, open_camera: OpenOak | None = None, **kwargs: Any) -> None:
         super().__init__("camera_node", **kwargs)
-        self._log = Log(self)
-        self._given = declare_all(self, OakSettings)
-        frames = declare_all(self, FrameParameters)
-        reject_unknown(self)
+        self._log = log.Log(self)
+        self._given = parameters.declare_all(self, OakSettings)
+        frames = parameters.declare_all(self, FrameParameters)
+        parameters.reject_unknown(self)
         self._images = CameraPublishers(self, frames.named(CAMERA))
-        self._diagnostics = Diagnostics(self)
+        self._diagnostics = diagnostics.Diagnostics(self)
         opener = open_camera or OakCamera
         self._keeper = CameraKeeper(lambda: opener(self._given, self._images.wanted, self._publish), self._report)
-        steady_timer(self, _DIAGNOSTICS_PERIOD, self._diagnose)
+        clock.steady_timer(self, _DIAGNOSTICS_PERIOD, self._diagnose)
         self._keeper.start()
 
     def close(self) -> None:
@@ -80,7 +74,9 @@ class CameraNode(Node):
         idle = not self._images.wanted()
         text = problem or ("no subscribers" if idle else "OK")
         values = {"images": self._images.published}
-        self._diagnostics.report(ERROR if problem else OK, text, values, "camera", self._hardware())
+        self._diagnostics.report(
+            diagnostics.ERROR if problem else diagnostics.OK, text, values, "camera", self._hardware()
+        )
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -20,16 +20,14 @@ from typing import Any
 
 import numpy as np
 
+from deltacharger_vision import errors, images, parameters
 from deltacharger_vision.cameras.ros_formats import from_camera_info
-from deltacharger_vision.errors import VisionError
-from deltacharger_vision.images import COLOR, DEPTH, RgbdImage
-from deltacharger_vision.parameters import OakSettings
 
 _SHORTEST_BACKOFF, _LONGEST_BACKOFF = 0.5, 4.0  # s
 _LOOK = 0.1  # s between checks of an open camera
 
 
-class CameraUnavailable(VisionError, RuntimeError):
+class CameraUnavailable(errors.VisionError, RuntimeError):
     """No camera, or one without images; the message names it and states what to do."""
 
 
@@ -114,7 +112,7 @@ class OakImage:
     """
 
     time: float
-    image: RgbdImage
+    image: images.RgbdImage
 
 
 class OakCamera:
@@ -132,7 +130,9 @@ class OakCamera:
         CameraUnavailable: no device, or it cannot be opened.
     """
 
-    def __init__(self, settings: OakSettings, wanted: Callable[[], bool], take: Callable[[OakImage], None]) -> None:
+    def __init__(
+        self, settings: parameters.OakSettings, wanted: Callable[[], bool], take: Callable[[OakImage], None]
+    ) -> None:
         info = find_device(settings.device_id)
         self.name = str(info.getDeviceId())
         self._wanted, self._on_image = wanted, take
@@ -177,7 +177,7 @@ class OakCamera:
             return
         try:
             self._on_image(converted(color, depth))
-        except VisionError as error:
+        except errors.VisionError as error:
             self._failure = str(error)
 
 
@@ -230,12 +230,12 @@ def attach(pipeline: Any, color: Any, depth: Any, rate: float, take: Take) -> No
         """Passes groups of frames to `take`."""
 
         def process(self, group):  # type: ignore[no-untyped-def]  # depthai evaluates annotations, not strings
-            take(group[COLOR], group[DEPTH])
+            take(group[images.COLOR], group[images.DEPTH])
 
     sync = pipeline.create(depthai.node.Sync)
     sync.setRunOnHost(True)
     sync.setSyncThreshold(timedelta(seconds=0.5 / rate))
-    for output, name in ((color, COLOR), (depth, DEPTH)):
+    for output, name in ((color, images.COLOR), (depth, images.DEPTH)):
         output.link(sync.inputs[name])
         sync.inputs[name].setBlocking(False)
         sync.inputs[name].setMaxSize(4)
@@ -261,10 +261,10 @@ def converted(color: Any, depth: Any) -> OakImage:
         color.getWidth(), color.getHeight(), matrix, coefficients, model, "the device's calibration"
     )
     taken = color.getTimestamp(depthai.CameraExposureOffset.MIDDLE).total_seconds()
-    return OakImage(taken, RgbdImage.make(color.getFrame(), depth.getFrame(), intrinsics))
+    return OakImage(taken, images.RgbdImage.make(color.getFrame(), depth.getFrame(), intrinsics))
 
 
-def _sources(pipeline: Any, calibration: Any, settings: OakSettings) -> tuple[Any, Any]:
+def _sources(pipeline: Any, calibration: Any, settings: parameters.OakSettings) -> tuple[Any, Any]:
     """Return the outputs of colour and aligned depth."""
     import depthai
 

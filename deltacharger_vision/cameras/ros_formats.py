@@ -5,8 +5,6 @@ Converts the fields of sensor_msgs/Image to arrays for `RgbdImage.make`. Indepen
 Encodings and the layout of `data` follow sensor_msgs/image_encodings.hpp.
 """
 
-from __future__ import annotations
-
 import numbers
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.files import brief
-from deltacharger_vision.errors import CameraInfoError, ImageError
-from deltacharger_vision.images import Intrinsics
+from deltacharger_vision import errors, images
 
 _NONE = ("", "none")
 _LONGEST = {"plumb_bob": 5, "rational_polynomial": 8}
@@ -43,7 +40,7 @@ class Readout:
     binning_x: int = 0
     binning_y: int = 0
 
-    def of(self, calibrated: Intrinsics) -> Intrinsics:
+    def of(self, calibrated: images.Intrinsics) -> images.Intrinsics:
         """Return the intrinsics of the image that is sent.
 
         Raises:
@@ -53,7 +50,7 @@ class Readout:
         if any(cut):
             right, bottom = self.left + self.width, self.top + self.height
             if min(cut) < 0 or not self.width or not self.height or right > whole[0] or bottom > whole[1]:
-                raise CameraInfoError(
+                raise errors.CameraInfoError(
                     "CameraInfo",
                     f"roi {self.width} × {self.height} px from ({self.left}, {self.top}) is no part of the calibrated "
                     f"{whole[0]} × {whole[1]} px; let the driver state width, height and k of the complete image",
@@ -70,7 +67,7 @@ def from_camera_info(
     distortion_model: str,
     source: str = "CameraInfo",
     readout: Readout | None = None,
-) -> Intrinsics:
+) -> images.Intrinsics:
     """Convert the fields of sensor_msgs/CameraInfo to the intrinsics of the image that the camera sends.
 
     Args:
@@ -88,32 +85,36 @@ def from_camera_info(
     matrix = _numbers(source, "camera matrix (k)", k)
     coefficients = _numbers(source, "distortion coefficients (d)", d)
     if len(matrix) != 9:
-        raise CameraInfoError(source, f"the camera matrix (k) has {len(matrix)} numbers; it must have 9")
+        raise errors.CameraInfoError(source, f"the camera matrix (k) has {len(matrix)} numbers; it must have 9")
     if not any(matrix):
-        raise CameraInfoError(source, "the camera matrix (k) is all 0: calibrate the camera first")
+        raise errors.CameraInfoError(source, "the camera matrix (k) is all 0: calibrate the camera first")
     fx, skew, cx, zero, fy, cy, *last = matrix
     if skew or zero or last != [0.0, 0.0, 1.0]:
-        raise CameraInfoError(source, "the camera matrix (k) must be fx 0 cx, 0 fy cy, 0 0 1, row by row")
+        raise errors.CameraInfoError(source, "the camera matrix (k) must be fx 0 cx, 0 fy cy, 0 0 1, row by row")
     try:
-        calibrated = Intrinsics(width, height, fx, fy, cx, cy, _distortion(source, coefficients, distortion_model))
+        calibrated = images.Intrinsics(
+            width, height, fx, fy, cx, cy, _distortion(source, coefficients, distortion_model)
+        )
         return (readout or Readout()).of(calibrated)
-    except CameraInfoError as error:
-        raise CameraInfoError(source, error.reason) from error
+    except errors.CameraInfoError as error:
+        raise errors.CameraInfoError(source, error.reason) from error
 
 
 def _distortion(source: str, coefficients: list[float], model: str) -> tuple[float, ...]:
     if model in _NONE:
         if any(coefficients):
-            raise CameraInfoError(source, f"distortion coefficients without a model; write {' or '.join(_LONGEST)}")
+            raise errors.CameraInfoError(
+                source, f"distortion coefficients without a model; write {' or '.join(_LONGEST)}"
+            )
         return ()
     if model not in _LONGEST:
-        raise CameraInfoError(
+        raise errors.CameraInfoError(
             source,
             f"distortion model {brief(model)}; known: {', '.join(_LONGEST)}, none: rectify the image or recalibrate",
         )
     longest = _LONGEST[model]
     if any(coefficients[longest:]):
-        raise CameraInfoError(
+        raise errors.CameraInfoError(
             source, f"{len(coefficients)} distortion coefficients; {model} has {longest}: recalibrate with {model}"
         )
     kept = coefficients[:longest] + [0.0] * (longest - len(coefficients))
@@ -124,10 +125,10 @@ def _numbers(source: str, name: str, found: Any) -> list[float]:
     try:
         items = list(found)
     except TypeError as error:
-        raise CameraInfoError(source, f"the {name} must be a list of numbers, not {brief(found)}") from error
+        raise errors.CameraInfoError(source, f"the {name} must be a list of numbers, not {brief(found)}") from error
     wrong = [item for item in items if isinstance(item, bool) or not isinstance(item, numbers.Real)]
     if wrong:
-        raise CameraInfoError(source, f"the {name} contains {brief(wrong[0])}, which is not a number")
+        raise errors.CameraInfoError(source, f"the {name} contains {brief(wrong[0])}, which is not a number")
     return [float(item) for item in items]
 
 
@@ -161,7 +162,7 @@ def color_array(image: Any) -> NDArray[Any]:
     if name in _YUV:
         return np.ascontiguousarray(_rows("color", image, np.uint8, 2)[:, :, _YUV[name]])
     if name not in _COLORS:
-        raise ImageError("color", f"encoding {image.encoding[:_QUOTED]!r}; {_advice(name)}")
+        raise errors.ImageError("color", f"encoding {image.encoding[:_QUOTED]!r}; {_advice(name)}")
     channels, order = _COLORS[name]
     rows = _rows("color", image, np.uint8, channels)
     return rows[:, :, 0] if len(order) == 1 else np.ascontiguousarray(rows[:, :, order])
@@ -176,7 +177,7 @@ def depth_array(image: Any) -> NDArray[Any]:
     name = image.encoding.lower()
     if name not in _DEPTHS:
         needed = "must be 16UC1 in mm or 32FC1 in m: take the depth image aligned to colour"
-        raise ImageError("depth", f"encoding {image.encoding[:_QUOTED]!r}; {needed}")
+        raise errors.ImageError("depth", f"encoding {image.encoding[:_QUOTED]!r}; {needed}")
     return _rows("depth", image, _DEPTHS[name], 1)[:, :, 0]
 
 
@@ -186,10 +187,10 @@ def _rows(what: str, image: Any, kind: type, channels: int) -> NDArray[Any]:
     stored = np.dtype(kind).newbyteorder(">" if image.is_bigendian else "<")
     least = width * channels * stored.itemsize
     if height < 1 or width < 1 or step < least:
-        raise ImageError(what, f"{width} × {height} px with {step} bytes a row; a row needs {max(least, 1)}")
+        raise errors.ImageError(what, f"{width} × {height} px with {step} bytes a row; a row needs {max(least, 1)}")
     flat = np.frombuffer(image.data, dtype=np.uint8)
     if flat.size < step * (height - 1) + least:
-        raise ImageError(what, f"{flat.size} bytes of {step * height}; the image was truncated in transit")
+        raise errors.ImageError(what, f"{flat.size} bytes of {step * height}; the image was truncated in transit")
     padded = np.lib.stride_tricks.as_strided(flat, (height, least), (step, 1), writeable=False)
     pixels = np.ascontiguousarray(padded).view(stored).reshape(height, width, channels)
     return pixels.astype(kind, copy=False)

@@ -12,8 +12,6 @@ There is no result if the plate is visible where a pose has a bar, if a bar cont
 explain the image.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -21,30 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array, Mask
-from deltacharger_vision.detector.blobs import Pair, find_blobs, find_cut_pairs, find_pairs, find_pieces
-from deltacharger_vision.detector.fit import by_spacing, on_plane
-from deltacharger_vision.detector.judgement import (
-    CLEAR_MISFIT,
-    DEPTH_AGREEMENT,
-    DEPTH_RISE,
-    END_SEEN,
-    EXPECTED_RISE,
-    FARTHEST_TARGET,
-    FOCAL_ERROR,
-    LARGEST_SCATTER,
-    NEAREST_TARGET,
-    SIDE_SEEN,
-    SIDES_SEEN,
-    Candidate,
-    Explanation,
-    Judge,
-    agree,
-    outline_shares,
-)
-from deltacharger_vision.detector.observed import Lines, Plane, fit_plane
-from deltacharger_vision.errors import CameraInfoError
-from deltacharger_vision.images import LIGHT, NEAREST_DEPTH, Intrinsics, RgbdImage, check_lens, project
-from deltacharger_vision.mount import line_angle
+from deltacharger_vision import errors, images, mount
+from deltacharger_vision.detector import blobs, fit, judgement, observed
 from deltacharger_vision.terminal import Detection, Terminal, cross_matrix
 
 _LONG, _ENDS = (0, 2), (1, 3)
@@ -52,33 +28,34 @@ _LEAST_ENDS = 2  # of four must be beside the plate
 _MESSY = 1.2  # times `clear`: a squared error that pieces do not explain
 
 
-class PartsJudge(Judge):
+class PartsJudge(judgement.Judge):
     """A judge that also handles pairs of pieces."""
 
-    def judge_cut(self, pair: Pair) -> list[Candidate]:
+    def judge_cut(self, pair: blobs.Pair) -> list[judgement.Candidate]:
         """Return the poses of partly hidden bars on the plate's plane; none if depth shows no plane."""
         intrinsics = self._image.intrinsics
-        start = by_spacing(pair, self._terminal, intrinsics)
-        if not 0.7 * NEAREST_TARGET < start.translation[2] < 1.4 * FARTHEST_TARGET:
+        start = fit.by_spacing(pair, self._terminal, intrinsics)
+        if not 0.7 * judgement.NEAREST_TARGET < start.translation[2] < 1.4 * judgement.FARTHEST_TARGET:
             return []
         region = self._region(start, self._dark(start)[0])
-        plane = fit_plane(region, np.random.default_rng(0))
-        if plane is None or not agree(plane, start, 3.0 * DEPTH_AGREEMENT):
+        plane = observed.fit_plane(region, np.random.default_rng(0))
+        if plane is None or not judgement.agree(plane, start, 3.0 * judgement.DEPTH_AGREEMENT):
             return []
         found = []
-        for pose in on_plane(start, plane.coefficients, pair, self._terminal, intrinsics):
+        for pose in fit.on_plane(start, plane.coefficients, pair, self._terminal, intrinsics):
             for each in self._search(pose, None, plane)[:1]:
                 if (candidate := self._by_parts(each, plane)) is not None:
                     found.append(candidate)
         return found
 
-    def _by_parts(self, explained: Explanation, plane: Plane) -> Candidate | None:
+    def _by_parts(self, explained: judgement.Explanation, plane: observed.Plane) -> judgement.Candidate | None:
         """Return the pose by visible parts of the bars, unless the plate is visible where they should be."""
         edges, fused = explained.edges, explained.fit
         shown = self._hiding(edges, fused, plane)
         # A bar with a visible side ends where the side ends: the face's edge alone may be the other bar's.
         ends, any_line = (
-            shown.ends & (outline_shares(edges.points, fused, outer)[:, _ENDS] >= END_SEEN) for outer in (True, False)
+            shown.ends & (judgement.outline_shares(edges.points, fused, outer)[:, _ENDS] >= judgement.END_SEEN)
+            for outer in (True, False)
         )
         # Between a bar and the plate there is an edge, or the bar ends elsewhere.
         if shown.refuted or shown.off or int(ends.sum()) < _LEAST_ENDS or np.any(shown.ends & ~any_line):
@@ -90,25 +67,27 @@ class PartsJudge(Judge):
         if both is None or alone is None:
             return None
         rise = kept.misfit(both, alone.scatter, plane) - kept.misfit(alone, alone.scatter)
-        if not rise <= DEPTH_RISE or both.scatter > LARGEST_SCATTER:
+        if not rise <= judgement.DEPTH_RISE or both.scatter > judgement.LARGEST_SCATTER:
             return None
-        shares = outline_shares(kept.points, both)
+        shares = judgement.outline_shares(kept.points, both)
         sides = shares[:, _LONG]
-        if sides.min() < SIDE_SEEN or sides.mean() < SIDES_SEEN:
+        if sides.min() < judgement.SIDE_SEEN or sides.mean() < judgement.SIDES_SEEN:
             return None
-        excess = self._misfit(kept, both, missed=False) / CLEAR_MISFIT
+        excess = self._misfit(kept, both, missed=False) / judgement.CLEAR_MISFIT
         if excess > _MESSY:
             return None
-        covariance = both.covariance * max(1.0, rise / EXPECTED_RISE, excess) + self._depth_doubt(both.pose, plane)
+        covariance = both.covariance * max(1.0, rise / judgement.EXPECTED_RISE, excess) + self._depth_doubt(
+            both.pose, plane
+        )
         if not ends.any(axis=0).all():
             # With one end only, it is unknown whether its face's edge or its side's root is visible.
             unsure = self._side_seen(edges.points.lines, ends) * both.pose.translation[2] / self._focal
             axis = both.pose.rotation[:, 0]
             covariance[:3, :3] += unsure**2 * np.outer(axis, axis)
-        return Candidate(both.pose, covariance, float(shares.mean()), True, True)
+        return judgement.Candidate(both.pose, covariance, float(shares.mean()), True, True)
 
     @staticmethod
-    def _side_seen(lines: Lines, ends: Mask) -> float:
+    def _side_seen(lines: observed.Lines, ends: Mask) -> float:
         """Return the width (px) of the sides visible beside the ends (2, 2) that are True."""
         two = np.isfinite(lines.room) & np.isin(lines.side, np.asarray(_ENDS)[ends.any(axis=0)])
         return float(lines.room[two].max(initial=0.0))
@@ -120,7 +99,7 @@ _NORMAL_STDDEV = 0.06  # rad, largest standard deviation of a reported normal
 
 _LARGEST = 1_100_000  # px that are searched, such as 1280 × 800: time and memory are those of a small image
 _APART = 4.0  # standard deviations beyond which two poses differ
-_LINEAR = (255.0 * LIGHT).astype(np.float32)
+_LINEAR = (255.0 * images.LIGHT).astype(np.float32)
 
 
 class ElectrodeDetector:
@@ -131,11 +110,11 @@ class ElectrodeDetector:
         stereo_range: least distance (m) at which depth counts.
     """
 
-    def __init__(self, terminal: Terminal | None = None, stereo_range: float = NEAREST_DEPTH) -> None:
+    def __init__(self, terminal: Terminal | None = None, stereo_range: float = images.NEAREST_DEPTH) -> None:
         self.terminal = terminal or Terminal()
         self._stereo_range = stereo_range
 
-    def detect(self, image: RgbdImage) -> Detection | None:
+    def detect(self, image: images.RgbdImage) -> Detection | None:
         """Return the terminal with the best support in the image, or None. Deterministic.
 
         Raises:
@@ -150,15 +129,15 @@ class ElectrodeDetector:
         grey = np.asarray(cv2.cvtColor(image.color, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
         # An edge lies at half the light, not at half its encoded value.
         smooth = cv2.GaussianBlur(cv2.LUT(grey, _LINEAR), (0, 0), _SMOOTHING)
-        check_lens(image.intrinsics)
+        images.check_lens(image.intrinsics)
         judge = PartsJudge(smooth, image, self.terminal, self._stereo_range)
-        best: Candidate | None = None
-        for pair in find_pairs(find_blobs(grey), self.terminal):
+        best: judgement.Candidate | None = None
+        for pair in blobs.find_pairs(blobs.find_blobs(grey), self.terminal):
             if best is not None and self._covers(best, pair, image.intrinsics):
                 continue
             try:
                 candidate = judge.judge(pair)
-            except CameraInfoError:  # a cut bar is completed beyond the lens's view
+            except errors.CameraInfoError:  # a cut bar is completed beyond the lens's view
                 continue
             if candidate is not None and (best is None or candidate.confidence > best.confidence):
                 best = candidate
@@ -168,30 +147,30 @@ class ElectrodeDetector:
             best = self._in_pieces(image, judge)
         return None if best is None else self._detection(best, intrinsics)
 
-    def _in_pieces(self, image: RgbdImage, judge: PartsJudge) -> Candidate | None:
+    def _in_pieces(self, image: images.RgbdImage, judge: PartsJudge) -> judgement.Candidate | None:
         """Return a partly hidden terminal, or None if two poses explain the image."""
         found = []
-        pieces = find_pieces(image.color)
-        for pair in find_cut_pairs(pieces, self.terminal):
+        pieces = blobs.find_pieces(image.color)
+        for pair in blobs.find_cut_pairs(pieces, self.terminal):
             try:
                 found += judge.judge_cut(pair)
-            except CameraInfoError:
+            except errors.CameraInfoError:
                 continue
         best = max(found, key=lambda each: each.confidence, default=None)
         if best is None or any(_differ(best, each) for each in found):
             return None
         return best
 
-    def _covers(self, found: Candidate, pair: Pair, intrinsics: Intrinsics) -> bool:
+    def _covers(self, found: judgement.Candidate, pair: blobs.Pair, intrinsics: images.Intrinsics) -> bool:
         """Return whether a pair lies on a found terminal: no other can be there."""
         middle, end = np.zeros(3), np.array([0.5 * self.terminal.bar_length, 0.0, 0.0])
-        here, there = project(found.pose.points(np.stack([middle, end])), intrinsics)
+        here, there = images.project(found.pose.points(np.stack([middle, end])), intrinsics)
         return bool(np.hypot(*(pair.centre.mean(axis=0) - here)) < np.hypot(*(there - here)))
 
-    def _detection(self, found: Candidate, intrinsics: Intrinsics) -> Detection:
+    def _detection(self, found: judgement.Candidate, intrinsics: images.Intrinsics) -> Detection:
         pose = found.pose
         x, y = pose.rotation[0, 0], pose.rotation[1, 0]
-        roll = line_angle(x, y)
+        roll = mount.line_angle(x, y)
         turning = cross_matrix(pose.rotation[:, 2])
         spread = turning @ found.covariance[3:, 3:] @ turning.T
         # If expected depth is missing, two tilts in a hundred are off by far more than the edges show.
@@ -199,7 +178,7 @@ class ElectrodeDetector:
         known = math.sqrt(float(np.linalg.eigvalsh(spread)[-1])) <= _NORMAL_STDDEV
         covariance = found.covariance.copy()
         # A longer focal length moves everything away in proportion, and nothing aside.
-        covariance[2, 2] += (FOCAL_ERROR * pose.translation[2]) ** 2
+        covariance[2, 2] += (judgement.FOCAL_ERROR * pose.translation[2]) ** 2
         return Detection(
             position=pose.translation,
             roll=roll,
@@ -208,12 +187,12 @@ class ElectrodeDetector:
             covariance=covariance,
             confidence=found.confidence,
             range=float(np.linalg.norm(pose.translation)),
-            bars=project(pose.points(self.terminal.corners()), intrinsics),
+            bars=images.project(pose.points(self.terminal.corners()), intrinsics),
             source="both" if found.fused else "image",
         )
 
 
-def _reduced(image: RgbdImage) -> RgbdImage:
+def _reduced(image: images.RgbdImage) -> images.RgbdImage:
     """Return a large image averaged over squares, with the depth of their middles; others unchanged."""
     import cv2
 
@@ -224,10 +203,10 @@ def _reduced(image: RgbdImage) -> RgbdImage:
     width, height = intrinsics.width // side, intrinsics.height // side
     color = cv2.resize(image.color[: height * side, : width * side], (width, height), interpolation=cv2.INTER_AREA)
     depth = image.depth[side // 2 : height * side : side, side // 2 : width * side : side]
-    return RgbdImage(np.asarray(color, dtype=np.uint8), depth, intrinsics.binned(side, side))
+    return images.RgbdImage(np.asarray(color, dtype=np.uint8), depth, intrinsics.binned(side, side))
 
 
-def _differ(one: Candidate, other: Candidate) -> bool:
+def _differ(one: judgement.Candidate, other: judgement.Candidate) -> bool:
     """Return whether two poses differ by more than their covariances explain."""
     apart = one.pose.translation - other.pose.translation
     spread = one.covariance[:3, :3] + other.covariance[:3, :3]
@@ -239,7 +218,7 @@ _FRACTION = 4  # binary digits after the point of drawn coordinates
 _ARROW = 0.03  # m
 
 
-def annotated(image: RgbdImage, found: Detection | None) -> NDArray[np.uint8]:
+def annotated(image: images.RgbdImage, found: Detection | None) -> NDArray[np.uint8]:
     """Return (H, W, 3) uint8 RGB: the bars' outlines, their midpoint, the normal if known, and the figures.
 
     The image itself is not changed.
@@ -268,8 +247,8 @@ def annotated(image: RgbdImage, found: Detection | None) -> NDArray[np.uint8]:
     return picture
 
 
-def _pixel(point: Array, intrinsics: Intrinsics) -> tuple[int, int]:
-    x, y = np.clip(np.round(project(point, intrinsics)), -(2**15), 2**15)
+def _pixel(point: Array, intrinsics: images.Intrinsics) -> tuple[int, int]:
+    x, y = np.clip(np.round(images.project(point, intrinsics)), -(2**15), 2**15)
     return int(x), int(y)
 
 

@@ -10,8 +10,6 @@ It moves nothing. With a rate, it detects while electrode_detection has subscrib
 reports the error: a charger can dock to coordinates without a camera.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import threading
@@ -29,20 +27,12 @@ from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
-from deltacharger_core.frames import CHARGER_BASE, TransformParameters
-from deltacharger_core.ros import node_support
-from deltacharger_core.ros.clock import age, steady_timer
-from deltacharger_core.ros.diagnostics import ERROR, OK, WARN, Diagnostics
+from deltacharger_core import frames, texts
+from deltacharger_core.ros import clock, diagnostics, log, messages, node_support, parameters, qos
 from deltacharger_core.ros.frames import TfTree, TransformError, installed
-from deltacharger_core.ros.log import Log
-from deltacharger_core.ros.messages import seconds, unknown
-from deltacharger_core.ros.parameters import Regularly, declare_all, reject_unknown
-from deltacharger_core.ros.qos import SERVICE
-from deltacharger_core.texts import quantity
+from deltacharger_vision import errors, mount
 from deltacharger_vision.detector.detector import ElectrodeDetector, annotated
-from deltacharger_vision.errors import MountError, VisionError
 from deltacharger_vision.images import COLOR, DEPTH, INFO, STAMP_TOLERANCE, RgbdImage, StampMatcher
-from deltacharger_vision.mount import Mount
 from deltacharger_vision.parameters import DetectorNodeParameters, info_topic
 from deltacharger_vision.ros.messages import color_message, detection_message, rgbd_of, slash_hint, stamp_ns
 from deltacharger_vision.terminal import Terminal
@@ -214,13 +204,16 @@ class ElectrodeDetectorNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("electrode_detector_node", **kwargs)
-        self._log = Log(self)
-        given, transforms = declare_all(self, DetectorNodeParameters), declare_all(self, TransformParameters)
-        terminal = declare_all(self, Terminal)
-        reject_unknown(self)
+        self._log = log.Log(self)
+        given, transforms = (
+            parameters.declare_all(self, DetectorNodeParameters),
+            parameters.declare_all(self, frames.TransformParameters),
+        )
+        terminal = parameters.declare_all(self, Terminal)
+        parameters.reject_unknown(self)
         self._given = given
         topics = [given.color_topic, given.depth_topic, info_topic(given.color_topic)]
-        self._charger_base = transforms.named(CHARGER_BASE)
+        self._charger_base = transforms.named(frames.CHARGER_BASE)
         self._tf = _tf(self, given, transforms) if given.mount_from_tf else None
         self._transform_timeout = transforms.transform_timeout
         self._mount = _mount(self, given)
@@ -230,16 +223,16 @@ class ElectrodeDetectorNode(Node):
         self._looking = threading.Lock()
         self._detections = self.create_publisher(ElectrodeDetection, "electrode_detection", 10)
         self._pictures = self.create_publisher(Image, "electrode_detection/image", qos_profile_sensor_data)
-        self._diagnostics = Diagnostics(self)
+        self._diagnostics = diagnostics.Diagnostics(self)
         self._missing = _missing_library()
         if self._missing:
             self._log.error(self._missing)
         group = ReentrantCallbackGroup()
         self.create_service(
-            DetectElectrodes, "detect_electrodes", self._on_detect, callback_group=group, qos_profile=SERVICE
+            DetectElectrodes, "detect_electrodes", self._on_detect, callback_group=group, qos_profile=qos.SERVICE
         )
-        steady_timer(self, 1.0, self._diagnose)
-        self._regularly = Regularly(self._watch, "detector", given.rate)
+        clock.steady_timer(self, 1.0, self._diagnose)
+        self._regularly = parameters.Regularly(self._watch, "detector", given.rate)
 
     def close(self) -> None:
         """Release waiting requests and stop the thread."""
@@ -251,8 +244,8 @@ class ElectrodeDetectorNode(Node):
     def _on_detect(
         self, request: DetectElectrodes.Request, response: DetectElectrodes.Response
     ) -> DetectElectrodes.Response:
-        unknown(response)
-        limit = seconds(request.timeout)
+        messages.unknown(response)
+        limit = messages.seconds(request.timeout)
         if limit < 0.0:
             response.message = f"timeout is {limit:g} s; give 0 for the default of {_TIMEOUT:g} s, or more"
             return response
@@ -282,7 +275,7 @@ class ElectrodeDetectorNode(Node):
 
     def _age_problem(self, shot: Shot) -> str:
         """Return why an image is too old or in the future; '' if it is current."""
-        old = age(self.get_clock(), 1e-9 * shot.stamp)
+        old = clock.age(self.get_clock(), 1e-9 * shot.stamp)
         oldest = self._given.image_age_max
         if -_FUTURE <= old <= oldest:
             return ""
@@ -297,7 +290,7 @@ class ElectrodeDetectorNode(Node):
             try:
                 image = shot.image()
                 found = self._detector.detect(image)
-            except VisionError as error:
+            except errors.VisionError as error:
                 return None, str(error)
             except Exception as error:  # no image of a stranger's camera may end the node
                 self._log.error(f"the detector failed: {traceback.format_exc()}", pause=60.0)
@@ -311,7 +304,7 @@ class ElectrodeDetectorNode(Node):
         header = shot.color.header
         try:
             placed = self._mounted(header, deadline).place(found)
-        except (TransformError, MountError) as error:
+        except (TransformError, errors.MountError) as error:
             return None, f"the electrodes were found, but the camera's pose is unknown: {error}"
         message = detection_message(
             placed, header.stamp, found.confidence, found.range, self._charger_base, found.source
@@ -319,7 +312,7 @@ class ElectrodeDetectorNode(Node):
         self._detections.publish(message)
         return message, ""
 
-    def _mounted(self, header: Any, deadline: float = math.inf) -> Mount:
+    def _mounted(self, header: Any, deadline: float = math.inf) -> mount.Mount:
         """Return the mount of an image's camera; wait for tf until `deadline` (s, monotonic) at most.
 
         Raises:
@@ -329,7 +322,7 @@ class ElectrodeDetectorNode(Node):
             return self._mount
         timeout = max(0.0, min(self._transform_timeout, deadline - time.monotonic()))
         found = self._tf.lookup(self._charger_base, header.frame_id, header.stamp, timeout)
-        return Mount.from_numbers(found)
+        return mount.Mount.from_numbers(found)
 
     def _show(self, image: RgbdImage, found: Any, shot: Shot) -> None:
         if self._pictures.get_subscription_count():
@@ -361,22 +354,22 @@ class ElectrodeDetectorNode(Node):
         if not self.context.ok():
             return
         watched, problem = self._camera.watched, self._missing or self._camera.problem()
-        took = quantity(self._tally.milliseconds, ".1f", "ms")
+        took = texts.quantity(self._tally.milliseconds, ".1f", "ms")
         values = {**vars(self._tally), "milliseconds": took, "images": self._camera.shots}
-        level = OK if not problem else ERROR if watched or self._missing else WARN
+        level = diagnostics.OK if not problem else diagnostics.ERROR if watched or self._missing else diagnostics.WARN
         text = problem or ("detecting" if watched else "idle; detects on request")
         self._diagnostics.report(level, text, values, "detector", self._camera.names[0])
 
 
-def _mount(node: Node, given: DetectorNodeParameters) -> Mount:
+def _mount(node: Node, given: DetectorNodeParameters) -> mount.Mount:
     """Return the camera's mount."""
     try:
-        return Mount.load(given.mount_file) if given.mount_file else Mount.default()
-    except (OSError, MountError) as error:
+        return mount.Mount.load(given.mount_file) if given.mount_file else mount.Mount.default()
+    except (OSError, errors.MountError) as error:
         raise node_support.StartupError(f"{node.get_name()}: {error}") from error
 
 
-def _tf(node: Node, given: DetectorNodeParameters, transforms: TransformParameters) -> TfTree:
+def _tf(node: Node, given: DetectorNodeParameters, transforms: frames.TransformParameters) -> TfTree:
     """Return the tf tree for the camera's pose."""
     if given.mount_file:
         problem = "mount_from_tf and mount_file both define the camera's pose; give only one"

@@ -18,8 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deltacharger_core.arrays import Array, Mask
-from deltacharger_vision.detector.blobs import Pair
-from deltacharger_vision.detector.observed import EdgePoints, Plane
+from deltacharger_vision.detector import blobs, observed
 from deltacharger_vision.images import Intrinsics, project, rays
 from deltacharger_vision.terminal import Terminal, TerminalPose, cross_matrix, facing
 
@@ -32,7 +31,7 @@ _ROUNDS = 3
 _SAME, _SAME_PX = 0.05, 3.0  # of the length, px: a pair is as long as the bars
 
 
-def by_corners(pair: Pair, terminal: Terminal, intrinsics: Intrinsics) -> list[TerminalPose]:
+def by_corners(pair: blobs.Pair, terminal: Terminal, intrinsics: Intrinsics) -> list[TerminalPose]:
     """Return the one or two poses that match the faces' corners to the outlines, the better first.
 
     Collins, Bartoli, "Infinitesimal plane-based pose estimation", IJCV 109 (2014).
@@ -82,14 +81,14 @@ def ends_swapped(pose: TerminalPose, terminal: Terminal) -> list[TerminalPose]:
     return found
 
 
-def leaning(pose: TerminalPose, leans: Leans, pair: Pair, intrinsics: Intrinsics) -> list[TerminalPose]:
+def leaning(pose: TerminalPose, leans: Leans, pair: blobs.Pair, intrinsics: Intrinsics) -> list[TerminalPose]:
     """Return the pose leaning across and along the bars by these tangents; large leans start from a frontal view."""
     axis = pose.translation if leans is LARGE_LEANS else pose.rotation[:, 2]
     along, across, upright = tilted(pose, axis, pair, intrinsics).rotation.T
     return [tilted(pose, upright + a * across + b * along, pair, intrinsics) for a, b in leans]
 
 
-def tilted(pose: TerminalPose, axis: Array, pair: Pair, intrinsics: Intrinsics) -> TerminalPose:
+def tilted(pose: TerminalPose, axis: Array, pair: blobs.Pair, intrinsics: Intrinsics) -> TerminalPose:
     """Return the pose with its z axis turned to the direction `axis` (3,), and its x axis along the pair's bars."""
     axis = axis / np.linalg.norm(axis)
     middle, along = pair.centre.mean(axis=0), pair.along.mean(axis=0)
@@ -103,7 +102,9 @@ def tilted(pose: TerminalPose, axis: Array, pair: Pair, intrinsics: Intrinsics) 
     return TerminalPose(np.stack([bars, np.cross(axis, bars), axis], axis=1), pose.translation)
 
 
-def laid_over(pose: TerminalPose, pair: Pair, terminal: Terminal, intrinsics: Intrinsics, sides: bool) -> TerminalPose:
+def laid_over(
+    pose: TerminalPose, pair: blobs.Pair, terminal: Terminal, intrinsics: Intrinsics, sides: bool
+) -> TerminalPose:
     """Return the pose translated until the bars lie over a pair's blobs.
 
     Args:
@@ -133,7 +134,7 @@ def laid_over(pose: TerminalPose, pair: Pair, terminal: Terminal, intrinsics: In
     return pose
 
 
-def by_spacing(pair: Pair, terminal: Terminal, intrinsics: Intrinsics) -> TerminalPose:
+def by_spacing(pair: blobs.Pair, terminal: Terminal, intrinsics: Intrinsics) -> TerminalPose:
     """Return the frontal pose of a terminal whose bars have the distance of a pair's lines."""
     middle = pair.centre.mean(axis=0)
     spacing = float(np.hypot(*(pair.centre[1] - pair.centre[0])))
@@ -141,9 +142,9 @@ def by_spacing(pair: Pair, terminal: Terminal, intrinsics: Intrinsics) -> Termin
     return tilted(TerminalPose(np.eye(3), place), place, pair, intrinsics)
 
 
-def on_plane(pose: TerminalPose, coefficients: Array, pair: Pair, terminal: Terminal, intrinsics: Intrinsics) -> list[
-    TerminalPose
-]:  # fmt: skip
+def on_plane(
+    pose: TerminalPose, coefficients: Array, pair: blobs.Pair, terminal: Terminal, intrinsics: Intrinsics
+) -> list[TerminalPose]:
     """Return poses on the plate's plane q·X = 1 whose bars end where a cut pair ends, at one end or the other.
 
     A single pose if the pair has the bars' length.
@@ -212,7 +213,7 @@ class Edges:
         focal: px, of an ideal camera with the rays of the points.
     """
 
-    def __init__(self, points: EdgePoints, terminal: Terminal, focal: float) -> None:
+    def __init__(self, points: observed.EdgePoints, terminal: Terminal, focal: float) -> None:
         self.points = points
         self._terminal = terminal
         self._focal = focal
@@ -236,7 +237,7 @@ class Edges:
         points = replace(self.points, seen=self.points.seen & ~hidden[:, None])
         return Edges(points, self._terminal, self._focal)
 
-    def fit(self, start: TerminalPose, plane: Plane | None = None, rounds: int = ROUNDS) -> PoseFit | None:
+    def fit(self, start: TerminalPose, plane: observed.Plane | None = None, rounds: int = ROUNDS) -> PoseFit | None:
         """Return the pose near `start` that fits edges and plane; None if they do not determine it.
 
         Args:
@@ -279,7 +280,7 @@ class Edges:
         scatter = max(scatter, _spread(columns[-1] * EDGE_NOISE / np.hypot(EDGE_NOISE, self._bias)))
         return PoseFit(pose, covariance[:6, :6], used, scatter, spread, columns[-1])
 
-    def misfit(self, found: PoseFit, scatter: float, plane: Plane | None = None, missed: bool = True) -> float:
+    def misfit(self, found: PoseFit, scatter: float, plane: observed.Plane | None = None, missed: bool = True) -> float:
         """Return the robust sum of squares of a fit to these edges, in standard deviations of this scatter (px).
 
         With `missed`, places without an edge count as outliers, so that explanations by other lines are comparable.
@@ -359,7 +360,7 @@ def _spread(residual: Array) -> float:
     return 1.4826 * float(np.partition(np.abs(residual), middle)[middle])
 
 
-def _beliefs(pose: TerminalPose, terminal: Terminal, plane: Plane | None) -> list[tuple[Array, Array, Array]]:
+def _beliefs(pose: TerminalPose, terminal: Terminal, plane: observed.Plane | None) -> list[tuple[Array, Array, Array]]:
     """Return residual, Jacobian (k, 6) and precision (k, k) of other knowledge than edges."""
     axis, t = pose.rotation[:, 2], pose.translation
     # Tilt: the part of the axis across the line of sight.

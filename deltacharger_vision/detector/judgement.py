@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array, Mask
-from deltacharger_vision.detector.blobs import Pair
+from deltacharger_vision.detector import blobs, observed
 from deltacharger_vision.detector.fit import (
     EDGE_BIAS,
     EDGE_NOISE,
@@ -35,22 +35,6 @@ from deltacharger_vision.detector.fit import (
     leaning,
     mirrored,
     tilted,
-)
-from deltacharger_vision.detector.observed import (
-    EDGE_FOLLOW,
-    EDGE_SEARCH,
-    FEWEST_DEPTHS,
-    KNOWN_SHARE,
-    SAMPLES,
-    EdgePoints,
-    Lines,
-    Plane,
-    Region,
-    find_edges,
-    fit_plane,
-    is_noise,
-    plate_region,
-    visible_lines,
 )
 from deltacharger_vision.images import Intrinsics, RgbdImage, project
 from deltacharger_vision.terminal import Terminal, TerminalPose, facing
@@ -68,7 +52,7 @@ DEPTH_RISE = 30.0  # largest rise of the squared error when depth is added
 _LONG, _ENDS = (0, 2), (1, 3)
 
 
-def outline_shares(points: EdgePoints, fit: PoseFit, outer: bool = False) -> Array:
+def outline_shares(points: observed.EdgePoints, fit: PoseFit, outer: bool = False) -> Array:
     """Return the visible share (2, 4) of each side of each bar; 0 outside the image.
 
     Args:
@@ -153,8 +137,8 @@ def hiding(
     image: RgbdImage,
     pose: TerminalPose,
     terminal: Terminal,
-    plane: Plane,
-    lines: Lines,
+    plane: observed.Plane,
+    lines: observed.Lines,
     used: Mask,
     dark: float,
 ) -> Hiding:
@@ -173,7 +157,7 @@ def hiding(
     view = _View(grey, image, pose, plane)
     bars = np.array([-0.5, 0.5]) * terminal.spacing
     y = bars[:, None] + terminal.bar_height * _ROWS
-    x = 0.5 * terminal.bar_length * (2.0 * (np.arange(SAMPLES) + 0.5) / SAMPLES - 1.0)
+    x = 0.5 * terminal.bar_length * (2.0 * (np.arange(observed.SAMPLES) + 0.5) / observed.SAMPLES - 1.0)
     light, raised = view.at(x[None, :, None], y[:, None, :], 0.0)
     light, raised = view.middle(light, 2), view.middle(raised, 2)
     # At a slant, half of the area between the bars is a side of one of them.
@@ -216,9 +200,9 @@ def _ends(view: _View, terminal: Terminal, focal: float, y: Array, limit: float)
     return ends, longer
 
 
-def _beside_edges(lines: Lines, used: Mask) -> Mask:
+def _beside_edges(lines: observed.Lines, used: Mask) -> Mask:
     """Return (2, SAMPLES), from −x to +x, whether edges of both long sides of each bar were found."""
-    seen = np.zeros((2, 2, SAMPLES), dtype=bool)
+    seen = np.zeros((2, 2, observed.SAMPLES), dtype=bool)
     for index in range(len(lines.bar)):
         side = int(lines.side[index])
         if side in _LONG_SIDES:
@@ -230,7 +214,7 @@ def _beside_edges(lines: Lines, used: Mask) -> Mask:
 class _View:
     """Light and height above the plate of places in a terminal's frame."""
 
-    def __init__(self, grey: NDArray[Any], image: RgbdImage, pose: TerminalPose, plane: Plane) -> None:
+    def __init__(self, grey: NDArray[Any], image: RgbdImage, pose: TerminalPose, plane: observed.Plane) -> None:
         self._grey, self._image, self.pose, self._plane = grey, image, pose, plane
         away = float(pose.translation[2])
         self.noise = plane.scatter * away**2
@@ -326,7 +310,7 @@ class Judge:
         self._corners = terminal.corners()
         self._focal = math.sqrt(image.intrinsics.fx * image.intrinsics.fy)
 
-    def judge(self, pair: Pair) -> Candidate | None:
+    def judge(self, pair: blobs.Pair) -> Candidate | None:
         """Return the pose of a pair, or None if edges do not support it or depth contradicts it."""
         intrinsics = self._image.intrinsics
         starts = by_corners(pair, self._terminal, intrinsics)
@@ -336,11 +320,11 @@ class Judge:
         if not dark:
             return None
         region = self._region(starts[0], limit)
-        if region.share < KNOWN_SHARE:
+        if region.share < observed.KNOWN_SHARE:
             # Even too little depth for a plane may show that nothing is there.
             return None if self._elsewhere(region, starts[0]) else self._by_image(pair, starts[0])
-        plane = fit_plane(region, np.random.default_rng(0))
-        if plane is None and is_noise(region) and not self._elsewhere(region, starts[0]):
+        plane = observed.fit_plane(region, np.random.default_rng(0))
+        if plane is None and observed.is_noise(region) and not self._elsewhere(region, starts[0]):
             return self._by_image(pair, starts[0])
         both = None if plane is None else self._by_both(pair, starts[0], plane)
         if both is not None or starts[0].translation[2] >= self._stereo_range:
@@ -350,14 +334,14 @@ class Judge:
             return None
         return self._by_image(pair, starts[0])
 
-    def _hiding(self, edges: Edges, found: PoseFit, plane: Plane) -> Hiding:
+    def _hiding(self, edges: Edges, found: PoseFit, plane: observed.Plane) -> Hiding:
         dark = LIGHT_AROUND
         return hiding(
             self._grey, self._image, found.pose, self._terminal, plane, edges.points.lines, found.used, dark
         )  # fmt: skip
 
     def _search(
-        self, start: TerminalPose, pair: Pair | None, plane: Plane | None = None, least: float = math.inf
+        self, start: TerminalPose, pair: blobs.Pair | None, plane: observed.Plane | None = None, least: float = math.inf
     ) -> list[Explanation]:
         """Return edges and the poses that fit them, from a start with the right tilt and a rough position.
 
@@ -369,7 +353,7 @@ class Judge:
             pose = start
             if pair is not None:
                 pose = laid_over(start, pair, self._terminal, self._image.intrinsics, sides)
-            followed = self._follow(pose, EDGE_SEARCH, plane, _ROUGH)
+            followed = self._follow(pose, observed.EDGE_SEARCH, plane, _ROUGH)
             settled = False
             for round_ in range(_FOLLOWED + 1):
                 hopeless = _HOPELESS * least + _AMBIGUOUS
@@ -381,7 +365,7 @@ class Judge:
                 if round_ > 1 and self._misfit(*followed, missed=False) < CLEAR_MISFIT:
                     break
                 before = followed[1].pose
-                followed = self._follow(before, EDGE_FOLLOW, plane)
+                followed = self._follow(before, observed.EDGE_FOLLOW, plane)
                 settled = followed is not None and self._moved(before, followed[1].pose) < _SETTLED
             if followed is None:
                 if round_ == 0 and math.isfinite(least):  # at this tilt the other silhouette would not fit either
@@ -398,11 +382,11 @@ class Judge:
         one, two = (pose.points(self._corners) for pose in (before, after))
         return self._focal * float(np.abs(one[..., :2] / one[..., 2:] - two[..., :2] / two[..., 2:]).max())
 
-    def _misfit(self, edges: Edges, found: PoseFit, plane: Plane | None = None, missed: bool = True) -> float:
+    def _misfit(self, edges: Edges, found: PoseFit, plane: observed.Plane | None = None, missed: bool = True) -> float:
         return edges.misfit(found, EDGE_NOISE, plane, missed)
 
     def _follow(
-        self, pose: TerminalPose, window: float, plane: Plane | None = None, rounds: int = ROUNDS
+        self, pose: TerminalPose, window: float, plane: observed.Plane | None = None, rounds: int = ROUNDS
     ) -> tuple[Edges, PoseFit] | None:
         """Return the edges near a pose's edges, and the pose that fits them."""
         edges = self._edges(pose, window)
@@ -412,11 +396,11 @@ class Judge:
     def _edges(self, pose: TerminalPose, window: float) -> Edges:
         intrinsics = self._image.intrinsics
         spacing = intrinsics.fy * self._terminal.spacing / pose.translation[2]
-        lines = visible_lines(pose, self._terminal, intrinsics, EDGE_BIAS)
-        points = find_edges(self._grey, lines, intrinsics, min(window, max(1.5, 0.4 * spacing)))
+        lines = observed.visible_lines(pose, self._terminal, intrinsics, EDGE_BIAS)
+        points = observed.find_edges(self._grey, lines, intrinsics, min(window, max(1.5, 0.4 * spacing)))
         return Edges(points, self._terminal, self._focal)
 
-    def _by_image(self, pair: Pair, start: TerminalPose) -> Candidate | None:
+    def _by_image(self, pair: blobs.Pair, start: TerminalPose) -> Candidate | None:
         """Return the pose by edges alone; if two tilts remain possible, its covariance spans both."""
         found = self._explained(pair, start)
         if not found:
@@ -427,7 +411,9 @@ class Judge:
         apart, upright = self._others(best, others)
         return self._candidate(best.edges, best.fit, _ALONE * best.fit.covariance + apart, False, upright)
 
-    def _others(self, best: Explanation, others: list[Explanation], plane: Plane | None = None) -> tuple[Array, bool]:
+    def _others(
+        self, best: Explanation, others: list[Explanation], plane: observed.Plane | None = None
+    ) -> tuple[Array, bool]:
         """Return the covariance (6, 6) by explanations that are almost as likely, and whether their tilt is one."""
         shown = self._misfit(best.edges, best.fit, plane, missed=False)
         excess = max(1.0, shown / CLEAR_MISFIT)
@@ -443,7 +429,7 @@ class Judge:
                 upright = upright and bool(np.linalg.norm(turned) < _SAME_TILT)
         return covariance, upright
 
-    def _explained(self, pair: Pair, start: TerminalPose) -> list[Explanation]:
+    def _explained(self, pair: blobs.Pair, start: TerminalPose) -> list[Explanation]:
         """Return poses that fit the edges; try more tilts until one fits well.
 
         Another tilt shows other sides of the bars, so each is fitted to its own edges.
@@ -467,18 +453,18 @@ class Judge:
                 found += [each for each in explained if self._share(each.edges, each.fit)]
         return self._with_swapped_ends(found)
 
-    def _with_swapped_ends(self, found: list[Explanation], plane: Plane | None = None) -> list[Explanation]:
+    def _with_swapped_ends(self, found: list[Explanation], plane: observed.Plane | None = None) -> list[Explanation]:
         """Return explanations with those by the other lines at the bars' visible ends, the best first."""
         for best in sorted(found, key=lambda each: each.misfit)[:1]:
             for swapped in ends_swapped(best.fit.pose, self._terminal):
-                rough = self._follow(swapped, EDGE_SEARCH, plane, _ROUGH)
+                rough = self._follow(swapped, observed.EDGE_SEARCH, plane, _ROUGH)
                 if rough is None or self._moved(best.fit.pose, rough[1].pose) < _SAME_LINES:
                     continue
                 explained = self._search(rough[1].pose, None, plane, best.misfit)
                 found += [each for each in explained if self._share(each.edges, each.fit)]
         return sorted(found, key=lambda each: each.misfit)
 
-    def _by_both(self, pair: Pair, start: TerminalPose, plane: Plane) -> Candidate | None:
+    def _by_both(self, pair: blobs.Pair, start: TerminalPose, plane: observed.Plane) -> Candidate | None:
         """Return the pose by edges and plane, unless the plane contradicts the edges."""
         exact, plane = plane, plane.with_bias()
         # The plane gives the tilt, and so the visible sides of the bars.
@@ -503,7 +489,7 @@ class Judge:
         covariance = max(1.0, rise / EXPECTED_RISE) * fused.covariance + self._others(best, others, plane)[0]
         return self._candidate(edges, fused, covariance + self._depth_doubt(fused.pose, plane), True, True)
 
-    def _depth_doubt(self, pose: TerminalPose, plane: Plane) -> Array:
+    def _depth_doubt(self, pose: TerminalPose, plane: observed.Plane) -> Array:
         """Return the covariance (6, 6) by the plane's bias, and by the scale at which image and depth differ."""
         distance = float(pose.rotation[:, 2] @ pose.translation) + self._terminal.bar_thickness
         apart = 1.0 / (distance * float(np.linalg.norm(plane.coefficients))) - 1.0
@@ -526,10 +512,10 @@ class Judge:
         excess = self._misfit(edges, found, missed=False) / CLEAR_MISFIT
         return Candidate(pose, covariance * max(1.0, excess), confidence, fused, upright)
 
-    def _elsewhere(self, region: Region, pose: TerminalPose) -> bool:
+    def _elsewhere(self, region: observed.Region, pose: TerminalPose) -> bool:
         """Return whether known depth, within stereo's range, lies at quite another range than a pose."""
         away = float(pose.translation[2])
-        if away < self._stereo_range or len(region.inverse) < FEWEST_DEPTHS:
+        if away < self._stereo_range or len(region.inverse) < observed.FEWEST_DEPTHS:
             return False
         return abs(float(np.median(region.inverse)) * away - 1.0) > 2.0 * DEPTH_AGREEMENT
 
@@ -537,15 +523,15 @@ class Judge:
         intrinsics, share = self._image.intrinsics, LIGHT_AROUND
         return plate_is_dark(self._grey, pose, self._terminal, intrinsics, share)
 
-    def _region(self, pose: TerminalPose, limit: float) -> Region:
+    def _region(self, pose: TerminalPose, limit: float) -> observed.Region:
         intrinsics = self._image.intrinsics
-        return plate_region(self._image.depth, pose, self._terminal, intrinsics, self._grey < limit)
+        return observed.plate_region(self._image.depth, pose, self._terminal, intrinsics, self._grey < limit)
 
     def _share(self, edges: Edges, found: PoseFit) -> float:
         return supported(outline_shares(edges.points, found), found)
 
 
-def agree(plane: Plane, pose: TerminalPose, tolerance: float) -> bool:
+def agree(plane: observed.Plane, pose: TerminalPose, tolerance: float) -> bool:
     """Return whether the plane crosses the line of sight at about the range of a pose."""
     crossing = float(plane.coefficients @ pose.translation)  # 1 if exactly
     return abs(crossing - 1.0) <= tolerance

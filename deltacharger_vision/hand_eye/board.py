@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array, Mask
-from deltacharger_vision.errors import BoardError
-from deltacharger_vision.images import LIGHT
+from deltacharger_vision import errors, images
 
 _PROFILE = 13  # samples across an edge
 _ENDS = 2  # of them at either end, for the levels of both sides
@@ -71,12 +70,14 @@ class Board:
 
     def __post_init__(self) -> None:
         if self.family not in FAMILIES:
-            raise BoardError("family", f"'{self.family}' is none of {', '.join(FAMILIES)}")
+            raise errors.BoardError("family", f"'{self.family}' is none of {', '.join(FAMILIES)}")
         count = len(dictionary(self.family).bytesList)
         if not 0 <= self.tag < count:
-            raise BoardError("tag", f"{self.tag} is not in {self.family}, which has the tags 0…{count - 1}")
+            raise errors.BoardError("tag", f"{self.tag} is not in {self.family}, which has the tags 0…{count - 1}")
         if not SMALLEST <= self.size <= LARGEST:
-            raise BoardError("size", f"{1e3 * self.size:g} mm is outside {1e3 * SMALLEST:g}…{1e3 * LARGEST:g} mm")
+            raise errors.BoardError(
+                "size", f"{1e3 * self.size:g} mm is outside {1e3 * SMALLEST:g}…{1e3 * LARGEST:g} mm"
+            )
 
     @staticmethod
     def named(text: str, size: float) -> Board:
@@ -87,7 +88,7 @@ class Board:
         """
         kind, *parts = text.lower().split(":")
         if kind != "apriltag" or len(parts) != 2 or not parts[1].isdecimal():
-            raise BoardError("board", f"'{text}' is not a board; write apriltag:36h11:0")
+            raise errors.BoardError("board", f"'{text}' is not a board; write apriltag:36h11:0")
         return Board(parts[0], int(parts[1]), size)
 
     @property
@@ -198,7 +199,7 @@ def _crossings(gray: NDArray[np.uint8], pixels: Array, offsets: Array, free: flo
         offsets: (K, 2, M, 2) px, from each corner to samples on its two edges.
         free: px on either side of the edges without other features.
     """
-    light = LIGHT.astype(np.float32)[gray]
+    light = images.LIGHT.astype(np.float32)[gray]
     width = float(np.clip(free, _NARROWEST, _WIDEST))
     found = np.array(pixels, dtype=float)
     along = offsets[:, :, -1] - offsets[:, :, 0]

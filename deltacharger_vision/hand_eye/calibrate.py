@@ -9,16 +9,14 @@ with a ruler; the offset's error is also the camera's. The fit also finds the bo
 `doubts` are reasons not to use the mount, `notes` hints for the next calibration.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from deltacharger_core.arrays import Array
-from deltacharger_core.machine import JOINTS
+from deltacharger_core import arrays, machine
+from deltacharger_vision import images, terminal
 from deltacharger_vision.hand_eye.fit import (
     ANGLES,
     CAMERA,
@@ -36,9 +34,7 @@ from deltacharger_vision.hand_eye.fit import (
     set_apart,
     start,
 )
-from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.mount import Mount
-from deltacharger_vision.terminal import cross_matrix, transform
 
 HELD_OUT = 5
 """Every so many views, one tests a fit to the others; the mount itself is fitted to all."""
@@ -72,25 +68,25 @@ class Calibration:
     """
 
     mount: Mount
-    board: Array
-    joints: tuple[Array, Array]
+    board: arrays.Array
+    joints: tuple[arrays.Array, arrays.Array]
     joint_surprise: float
     fit: HandEyeFit
     held_out: tuple[int, ...]
-    held_out_errors: Array
+    held_out_errors: arrays.Array
     size: float
     size_stddev: float
     decided: bool
-    positions: Array
-    reprojection: Array
+    positions: arrays.Array
+    reprojection: arrays.Array
 
-    def point_covariance(self, point: Array) -> Array:
+    def point_covariance(self, point: arrays.Array) -> arrays.Array:
         """Return the covariance (3, 3) m², by the mount alone, of a `point` (3,) m in charger_base."""
-        lever = np.hstack([np.eye(3), -cross_matrix(np.asarray(point) - self.mount.pose[:3, 3])])
+        lever = np.hstack([np.eye(3), -terminal.cross_matrix(np.asarray(point) - self.mount.pose[:3, 3])])
         return np.asarray(lever @ self.mount.covariance @ lever.T)
 
 
-def calibrate(views: Sequence[View], intrinsics: Intrinsics, beliefs: Beliefs) -> Calibration:
+def calibrate(views: Sequence[View], intrinsics: images.Intrinsics, beliefs: Beliefs) -> Calibration:
     """Find the camera's mount.
 
     Args:
@@ -127,7 +123,7 @@ def calibrate(views: Sequence[View], intrinsics: Intrinsics, beliefs: Beliefs) -
     )
 
 
-def check_moves(positions: Sequence[Array]) -> None:
+def check_moves(positions: Sequence[arrays.Array]) -> None:
     """Refuse platform positions (3,) m that leave the mount unknown.
 
     Raises:
@@ -148,7 +144,7 @@ def check_moves(positions: Sequence[Array]) -> None:
         )
 
 
-def moved(positions: Array) -> tuple[Array, Array]:
+def moved(positions: arrays.Array) -> tuple[arrays.Array, arrays.Array]:
     """Return the extents (3,) m of positions (N, 3), largest first, and their unit axes (3, 3), row by row."""
     centred = positions - positions.mean(axis=0)
     axes = np.linalg.svd(centred, full_matrices=True)[2]
@@ -157,7 +153,7 @@ def moved(positions: Array) -> tuple[Array, Array]:
     return along[order], axes[order]
 
 
-def axis_name(axis: Array) -> str:
+def axis_name(axis: arrays.Array) -> str:
     """Return a unit axis (3,) of charger_base as text."""
     largest = int(np.argmax(np.abs(axis)))
     if abs(axis[largest]) > 0.9:
@@ -166,9 +162,9 @@ def axis_name(axis: Array) -> str:
     return "(" + ", ".join(f"{value:.2f}" for value in signed) + ")"
 
 
-def count_places(positions: Array) -> int:
+def count_places(positions: arrays.Array) -> int:
     """Return the number of distinct places of positions (N, 3) m."""
-    places: list[Array] = []
+    places: list[arrays.Array] = []
     for position in positions:
         if all(np.linalg.norm(position - place) > PLACES_APART for place in places):
             places.append(position)
@@ -176,11 +172,11 @@ def count_places(positions: Array) -> int:
 
 
 def _state(first: Start, scale: float) -> HandEyeState:
-    return HandEyeState(first.camera, first.shift, first.board, np.zeros(len(JOINTS)), scale)
+    return HandEyeState(first.camera, first.shift, first.board, np.zeros(len(machine.JOINTS)), scale)
 
 
 def _mount(found: HandEyeFit, beliefs: Beliefs) -> Mount:
-    pose = transform(found.state.camera, found.state.shift + beliefs.offset)
+    pose = terminal.transform(found.state.camera, found.state.shift + beliefs.offset)
     order = np.r_[SHIFT, CAMERA]
     covariance = found.covariance[np.ix_(order, order)]
     covariance[:3, :3] += beliefs.offset_stddev**2 * np.eye(3)
@@ -195,21 +191,21 @@ def _surprise(found: HandEyeFit, beliefs: Beliefs) -> float:
     if not beliefs.joint_stddev:
         return 0.0
     errors = found.state.joints / beliefs.joint_stddev
-    gained = np.eye(len(JOINTS)) - found.covariance[ANGLES, ANGLES] / beliefs.joint_stddev**2
+    gained = np.eye(len(machine.JOINTS)) - found.covariance[ANGLES, ANGLES] / beliefs.joint_stddev**2
     values, axes = np.linalg.eigh(gained)
     return float(np.sum((errors @ axes) ** 2 / np.maximum(values, _KNOWN_SHARE)))
 
 
 def _judged(
-    views: Sequence[View], intrinsics: Intrinsics, beliefs: Beliefs, judges: Sequence[int], state: HandEyeState
-) -> Array:
+    views: Sequence[View], intrinsics: images.Intrinsics, beliefs: Beliefs, judges: Sequence[int], state: HandEyeState
+) -> arrays.Array:
     """Return the errors (len(judges), 3) m of a fit to the other views."""
     others = [view for index, view in enumerate(views) if index not in judges]
     found = fit(Corners.of(others, intrinsics), beliefs, state)
     return set_apart(Corners.of([views[index] for index in judges], intrinsics), found.state).moves
 
 
-def _reprojection(corners: Corners, found: HandEyeFit) -> Array:
+def _reprojection(corners: Corners, found: HandEyeFit) -> arrays.Array:
     """Return (N,) px: the residual of a view by both movement of the board and scatter of its corners."""
     apart = found.apart
     count = np.bincount(corners.view)

@@ -31,12 +31,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_core.arrays import Array, Mask
-from deltacharger_core.machine import JOINTS
-from deltacharger_vision.errors import VisionError
+from deltacharger_core import arrays, machine
+from deltacharger_vision import errors, images, terminal
 from deltacharger_vision.hand_eye.board import Sighting
-from deltacharger_vision.images import Intrinsics, rays
-from deltacharger_vision.terminal import cross_matrix, turn
 
 FEWEST = 5
 """Views needed for a calibration, one of them to test the others."""
@@ -44,7 +41,7 @@ _FARTHEST = 10.0
 """Largest plausible coordinate of a platform, m."""
 
 
-class HandEyeError(VisionError, ValueError):
+class HandEyeError(errors.VisionError, ValueError):
     """The views do not determine the mount. Example: in all, the platform was on one line.
 
     Args:
@@ -65,12 +62,12 @@ class View:
         HandEyeError: a number is not finite, or the platform is far outside any workspace.
     """
 
-    position: Array
+    position: arrays.Array
     sighting: Sighting
-    slope: Array
+    slope: arrays.Array
 
     def __post_init__(self) -> None:
-        if np.shape(self.position) != (3,) or np.shape(self.slope) != (3, len(JOINTS)):
+        if np.shape(self.position) != (3,) or np.shape(self.slope) != (3, len(machine.JOINTS)):
             raise HandEyeError("a view needs a position (3,) and its slope (3, 3)")
         numbers = (self.position, self.slope, self.sighting.corners, self.sighting.pixels)
         if not all(np.isfinite(each).all() for each in numbers) or np.abs(self.position).max() > _FARTHEST:
@@ -110,11 +107,11 @@ class Corners:
     """
 
     view: NDArray[np.int64]
-    points: Array
-    seen: Array
-    positions: Array
-    slopes: Array
-    focal: Array
+    points: arrays.Array
+    seen: arrays.Array
+    positions: arrays.Array
+    slopes: arrays.Array
+    focal: arrays.Array
 
     @property
     def views(self) -> int:
@@ -128,7 +125,7 @@ class Corners:
         return tuple(slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True))
 
     @staticmethod
-    def of(views: Sequence[View], intrinsics: Intrinsics) -> Corners:
+    def of(views: Sequence[View], intrinsics: images.Intrinsics) -> Corners:
         """Gather the corners of `views` and undistort them.
 
         Raises:
@@ -139,14 +136,20 @@ class Corners:
         return Corners(
             np.repeat(np.arange(len(views)), [len(view.sighting.pixels) for view in views]),
             np.concatenate([view.sighting.corners for view in views]),
-            focal * rays(pixels, intrinsics),
+            focal * images.rays(pixels, intrinsics),
             np.stack([view.position for view in views]),
             np.stack([view.slope for view in views]),
             focal,
         )
 
 
-CAMERA, SHIFT, BOARD, ANGLES, SCALE = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 9 + len(JOINTS)), 9 + len(JOINTS)
+CAMERA, SHIFT, BOARD, ANGLES, SCALE = (
+    slice(0, 3),
+    slice(3, 6),
+    slice(6, 9),
+    slice(9, 9 + len(machine.JOINTS)),
+    9 + len(machine.JOINTS),
+)
 """Columns of a step: rotation of the camera (rad, about charger_base's axes), d (m), rotation of the board (rad),
 joint errors (rad), and the logarithm of s."""
 FREE, FREE_WITH_SCALE = SCALE, SCALE + 1
@@ -166,32 +169,32 @@ class HandEyeState:
         scale: s.
     """
 
-    camera: Array
-    shift: Array
-    board: Array
-    joints: Array
+    camera: arrays.Array
+    shift: arrays.Array
+    board: arrays.Array
+    joints: arrays.Array
     scale: float = 1.0
 
-    def moved(self, step: Array) -> HandEyeState:
+    def moved(self, step: arrays.Array) -> HandEyeState:
         """Return the state after a step (12,) or (13,)."""
         return dataclasses.replace(
             self,
-            camera=turn(step[CAMERA]) @ self.camera,
+            camera=terminal.turn(step[CAMERA]) @ self.camera,
             shift=self.shift + step[SHIFT],
-            board=turn(step[BOARD]) @ self.board,
+            board=terminal.turn(step[BOARD]) @ self.board,
             joints=self.joints + step[ANGLES],
             scale=self.scale * (math.exp(step[SCALE]) if len(step) > SCALE else 1.0),
         )
 
 
-def residuals(corners: Corners, state: HandEyeState) -> Array:
+def residuals(corners: Corners, state: HandEyeState) -> arrays.Array:
     """Return (M, 2) px: expected minus measured corners."""
     camera = _in_base(corners, state) @ state.camera
     depth = np.maximum(camera[:, 2:], _CLOSEST)
     return np.asarray(corners.focal * camera[:, :2] / depth - corners.seen)
 
 
-def jacobian(corners: Corners, state: HandEyeState, step: Array) -> tuple[Array, Array]:
+def jacobian(corners: Corners, state: HandEyeState, step: arrays.Array) -> tuple[arrays.Array, arrays.Array]:
     """Return the derivatives of the residuals at `state.moved(step)`.
 
     Returns:
@@ -218,23 +221,23 @@ def jacobian(corners: Corners, state: HandEyeState, step: Array) -> tuple[Array,
     return found, by_position
 
 
-def _in_base(corners: Corners, state: HandEyeState) -> Array:
+def _in_base(corners: Corners, state: HandEyeState) -> arrays.Array:
     """Return (M, 3) m, the corners relative to the camera, along the axes of charger_base."""
     platform = corners.positions + corners.slopes @ state.joints - state.shift
     return np.asarray(platform[corners.view] + state.scale * corners.points @ state.board.T)
 
 
-def _skew(vectors: Array) -> Array:
+def _skew(vectors: arrays.Array) -> arrays.Array:
     """Return (M, 3, 3), [v]× of vectors (M, 3)."""
     x, y, z = vectors.T
     zero = np.zeros_like(x)
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
 
 
-def _left(vector: Array) -> Array:
+def _left(vector: arrays.Array) -> arrays.Array:
     """Return the left Jacobian (3, 3) of SO(3) at a rotation vector (rad): turn(v + dv) = turn(J dv) turn(v)."""
     angle = float(np.linalg.norm(vector))
-    skew = cross_matrix(vector)
+    skew = terminal.cross_matrix(vector)
     if angle < 1e-6:
         return np.asarray(np.eye(3) + 0.5 * skew)
     first, second = (1.0 - math.cos(angle)) / angle**2, (angle - math.sin(angle)) / angle**3
@@ -260,9 +263,9 @@ class Start:
         decided: whether only one orientation of the board fits.
     """
 
-    camera: Array
-    shift: Array
-    board: Array
+    camera: arrays.Array
+    shift: arrays.Array
+    board: arrays.Array
     scale: float
     decided: bool
 
@@ -288,7 +291,7 @@ def start(corners: Corners) -> Start:
     return Start(camera, shift, camera @ answers[best], 1.0 / scale, decided)
 
 
-def _candidates(corners: Corners) -> Array:
+def _candidates(corners: Corners) -> arrays.Array:
     """Return (P, 3, 3) camera_R_board: both IPPE solutions of each view."""
     import cv2
 
@@ -306,7 +309,7 @@ def _candidates(corners: Corners) -> Array:
     return np.stack(found)
 
 
-def _tried(corners: Corners, turns: Array) -> tuple[Array, Array]:
+def _tried(corners: Corners, turns: arrays.Array) -> tuple[arrays.Array, arrays.Array]:
     """Return the misfit (P,) px² of orientations (P, 3, 3), and the board's positions (P, N, 3) m in the camera."""
     misfit = np.zeros(len(turns))
     places = np.zeros((len(turns), corners.views, 3))
@@ -327,25 +330,25 @@ def _tried(corners: Corners, turns: Array) -> tuple[Array, Array]:
     return misfit, places
 
 
-def _averaged(candidates: Array, chosen: Array) -> Array:
+def _averaged(candidates: arrays.Array, chosen: arrays.Array) -> arrays.Array:
     """Return the mean (3, 3) of the candidates near the chosen one."""
     near = candidates[_angles(candidates, chosen) <= _LIKE]
     return _nearest_rotation(near.sum(axis=0))
 
 
-def _angles(turns: Array, other: Array) -> Array:
+def _angles(turns: arrays.Array, other: arrays.Array) -> arrays.Array:
     """Return the angles (P,) rad between rotations (P, 3, 3) and another (3, 3)."""
     cosine = (np.einsum("pij,ij->p", turns, other) - 1.0) / 2.0
     return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
-def _nearest_rotation(matrix: Array) -> Array:
+def _nearest_rotation(matrix: arrays.Array) -> arrays.Array:
     """Return the rotation nearest to a matrix (3, 3)."""
     u, _, v = np.linalg.svd(matrix)
     return np.asarray(u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v)
 
 
-def _procrustes(positions: Array, places: Array) -> tuple[Array, Array, float]:
+def _procrustes(positions: arrays.Array, places: arrays.Array) -> tuple[arrays.Array, arrays.Array, float]:
     """Return R (3, 3), d (3,) m and k of places (N, 3) = k Rᵀ (positions (N, 3) − d)."""
     weight = np.ones(len(positions))
     turn, shift, scale = np.eye(3), np.zeros(3), 1.0
@@ -393,10 +396,10 @@ class Apart:
         counts: (N,) degrees of freedom of `rest`.
     """
 
-    moves: Array
-    precision: Array
-    rest: Array
-    counts: Array
+    moves: arrays.Array
+    precision: arrays.Array
+    rest: arrays.Array
+    counts: arrays.Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -412,8 +415,8 @@ class HandEyeFit:
     """
 
     state: HandEyeState
-    covariance: Array
-    kept: Mask
+    covariance: arrays.Array
+    kept: arrays.Mask
     spread: HandEyeSpread
     apart: Apart
 
@@ -471,8 +474,8 @@ def set_apart(corners: Corners, state: HandEyeState) -> Apart:
 
 
 def _solved(
-    corners: Corners, beliefs: Beliefs, state: HandEyeState, spread: HandEyeSpread, weights: Array, length: int
-) -> tuple[HandEyeState, Array]:
+    corners: Corners, beliefs: Beliefs, state: HandEyeState, spread: HandEyeSpread, weights: arrays.Array, length: int
+) -> tuple[HandEyeState, arrays.Array]:
     """Return the least-squares state, views weighted by `weights` (N,), and its covariance (length, length)."""
     from scipy.optimize import least_squares
 
@@ -484,13 +487,13 @@ def _solved(
         whiten.append((rows, np.sqrt(weight) * np.linalg.inv(np.linalg.cholesky(covariance))))
     joints = max(beliefs.joint_stddev, 1e-9)
 
-    def values(step: Array) -> Array:
+    def values(step: arrays.Array) -> arrays.Array:
         moved = state.moved(step)
         error = residuals(corners, moved)
         parts = [matrix @ error[rows].ravel() for rows, matrix in whiten]
         return np.concatenate([*parts, moved.joints / joints])
 
-    def slopes(step: Array) -> Array:
+    def slopes(step: arrays.Array) -> arrays.Array:
         found, _ = jacobian(corners, state, step)
         parts = [matrix @ found[rows].reshape(-1, length) for rows, matrix in whiten]
         prior = np.zeros((len(state.joints), length))
@@ -503,7 +506,7 @@ def _solved(
     return state.moved(step), _inverse(found.T @ found)
 
 
-def _inverse(information: Array) -> Array:
+def _inverse(information: arrays.Array) -> arrays.Array:
     """Return the covariance of an information matrix whose units differ by many powers of ten."""
     size = np.sqrt(np.diag(information))
     try:
@@ -521,12 +524,12 @@ def _same(first: HandEyeSpread, second: HandEyeSpread) -> bool:
     )
 
 
-def _distance(apart: Apart, spread: HandEyeSpread) -> Array:
+def _distance(apart: Apart, spread: HandEyeSpread) -> arrays.Array:
     """Return (N,) squared residuals in units of their spread."""
     return np.asarray(_moves_squared(apart, spread) + apart.rest / spread.pixel**2)
 
 
-def _moves_squared(apart: Apart, spread: HandEyeSpread) -> Array:
+def _moves_squared(apart: Apart, spread: HandEyeSpread) -> arrays.Array:
     """Return (N,) squared moves in units of the positions' spread and the corners' accuracy."""
     covariance = spread.arm**2 * np.eye(3) + spread.pixel**2 * np.linalg.pinv(apart.precision, hermitian=True)
     solved = np.linalg.solve(covariance, apart.moves[..., None])[..., 0]
@@ -541,7 +544,7 @@ def _robust_spread(apart: Apart, beliefs: Beliefs) -> HandEyeSpread:
     return HandEyeSpread(max(float(pixel), beliefs.pixel_stddev), max(float(arm), beliefs.arm_stddev))
 
 
-def _agreeing(apart: Apart, spread: HandEyeSpread) -> Mask:
+def _agreeing(apart: Apart, spread: HandEyeSpread) -> arrays.Mask:
     """Return (N,) which views agree with the others; all if there are too few to identify a wrong one."""
     from scipy.stats import chi2
 
@@ -553,7 +556,7 @@ def _agreeing(apart: Apart, spread: HandEyeSpread) -> Mask:
     return np.asarray(near & sharp)
 
 
-def _spread(apart: Apart, kept: Mask, beliefs: Beliefs, covariance: Array) -> HandEyeSpread:
+def _spread(apart: Apart, kept: arrays.Mask, beliefs: Beliefs, covariance: arrays.Array) -> HandEyeSpread:
     """Return the spread of the kept views; the prior counts as a few more observations."""
     from scipy.optimize import brentq
 

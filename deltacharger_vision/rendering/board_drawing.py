@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A calibration board for the simulated camera, and its print at true size."""
 
-from __future__ import annotations
-
 import dataclasses
 from functools import cache
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulated RGB-D images without graphics hardware: a ray-caster of boxes, image defects, stereo depth."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 

@@ -8,8 +8,6 @@ inside, and e·r over its gradient per pixel is the distance to the edge in pixe
 pixel. Edges are therefore exact to a small part of a pixel, and nothing needs clipping.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages of RGB-D cameras and of detections: conversion from and to arrays, and a camera's topics."""
 
-from __future__ import annotations
-
 import sys
 import time
 from array import array
@@ -17,11 +15,8 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
 from deltacharger_core.files import brief
+from deltacharger_vision import errors, images, mount, parameters
 from deltacharger_vision.cameras.ros_formats import Readout, color_array, depth_array, from_camera_info
-from deltacharger_vision.errors import CameraInfoError, ImageError
-from deltacharger_vision.images import COLOR, DEPTH, INFO, Intrinsics, RgbdImage
-from deltacharger_vision.mount import CAMERA_FRAME, FRAME, Placed, quaternion
-from deltacharger_vision.parameters import COLOR_TOPIC, DEPTH_TOPIC, info_topic
 
 
 def slash_hint(node: Node, *topics: str) -> str:
@@ -38,7 +33,7 @@ def stamp_ns(message: Any) -> int:
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
-def intrinsics_of(info: CameraInfo, source: str) -> Intrinsics:
+def intrinsics_of(info: CameraInfo, source: str) -> images.Intrinsics:
     """Return the intrinsics of the image sent with a CameraInfo: of its region of interest, binned.
 
     Raises:
@@ -52,9 +47,9 @@ def intrinsics_of(info: CameraInfo, source: str) -> Intrinsics:
 def rgbd_of(
     color: Image,
     depth: Image | None,
-    camera: CameraInfo | Intrinsics,
+    camera: CameraInfo | images.Intrinsics,
     source: str = "camera_info",
-) -> RgbdImage:
+) -> images.RgbdImage:
     """Convert two messages to one image, without depth if that is missing.
 
     Args:
@@ -69,34 +64,36 @@ def rgbd_of(
     """
     frame = color.header.frame_id
     if depth is not None and depth.header.frame_id != frame:
-        raise ImageError(
+        raise errors.ImageError(
             "depth",
             f"in frame {brief(depth.header.frame_id)}, colour in {brief(frame)}: take depth aligned to colour "
             "(RealSense align_depth.enable:=true, Orbbec depth_registration:=true, OAK stereo.i_align_depth: true)",
         )
-    if not isinstance(camera, Intrinsics):
+    if not isinstance(camera, images.Intrinsics):
         if camera.header.frame_id != frame:
             other = brief(camera.header.frame_id)
-            raise CameraInfoError(source, f"of frame {other}, not of the colour image's {brief(frame)}; name its own")
+            raise errors.CameraInfoError(
+                source, f"of frame {other}, not of the colour image's {brief(frame)}; name its own"
+            )
         camera = intrinsics_of(camera, source)
     pixels = color_array(color)
     metres = np.full(pixels.shape[:2], np.nan) if depth is None else depth_array(depth)
-    return RgbdImage.make(pixels, metres, camera)
+    return images.RgbdImage.make(pixels, metres, camera)
 
 
-def color_message(color: NDArray[np.uint8], stamp: Time, frame: str = CAMERA_FRAME) -> Image:
+def color_message(color: NDArray[np.uint8], stamp: Time, frame: str = mount.CAMERA_FRAME) -> Image:
     """Return an (H, W, 3) RGB image as rgb8."""
     return _message(color, "rgb8", 3, stamp, frame)
 
 
-def depth_message(depth: NDArray[np.float32], stamp: Time, frame: str = CAMERA_FRAME) -> Image:
+def depth_message(depth: NDArray[np.float32], stamp: Time, frame: str = mount.CAMERA_FRAME) -> Image:
     """Return (H, W) m, NaN = unknown, as 16UC1: whole mm, 0 = unknown, including values beyond 65.5 m."""
     millimetres = np.nan_to_num(depth * np.float32(1e3), nan=0.0, posinf=0.0, neginf=0.0) + np.float32(0.5)
     millimetres[millimetres >= 65536.0] = 0.0
     return _message(millimetres.astype(np.uint16), "16UC1", 2, stamp, frame)
 
 
-def camera_info_message(intrinsics: Intrinsics, stamp: Time, frame: str = CAMERA_FRAME) -> CameraInfo:
+def camera_info_message(intrinsics: images.Intrinsics, stamp: Time, frame: str = mount.CAMERA_FRAME) -> CameraInfo:
     """Return the calibration of an unrectified image: R is the identity, P the camera matrix."""
     message = CameraInfo()
     message.header.stamp, message.header.frame_id = stamp, frame
@@ -138,9 +135,11 @@ class CameraPublishers:
         self._clock = node.get_clock()
         self._context = node.context
         self._publishers = {
-            COLOR: node.create_publisher(Image, COLOR_TOPIC, qos_profile_sensor_data),
-            DEPTH: node.create_publisher(Image, DEPTH_TOPIC, qos_profile_sensor_data),
-            INFO: node.create_publisher(CameraInfo, info_topic(COLOR_TOPIC), qos_profile_sensor_data),
+            images.COLOR: node.create_publisher(Image, parameters.COLOR_TOPIC, qos_profile_sensor_data),
+            images.DEPTH: node.create_publisher(Image, parameters.DEPTH_TOPIC, qos_profile_sensor_data),
+            images.INFO: node.create_publisher(
+                CameraInfo, parameters.info_topic(parameters.COLOR_TOPIC), qos_profile_sensor_data
+            ),
         }
         self.published = 0
 
@@ -152,24 +151,24 @@ class CameraPublishers:
         """Return ROS time, ns."""
         return int(self._clock.now().nanoseconds)
 
-    def image(self, image: RgbdImage, taken: float, has_depth: bool = True) -> None:
+    def image(self, image: images.RgbdImage, taken: float, has_depth: bool = True) -> None:
         """Publish the parts of an image that have subscribers; `taken` is its time (s, time.monotonic)."""
         stamp = _time(self.now() - round(1e9 * (time.monotonic() - taken)))
-        if self.wanted(INFO):
-            self._publish(INFO, camera_info_message(image.intrinsics, stamp, self._frame_id))
-        if self.wanted(COLOR):
-            self._publish(COLOR, color_message(image.color, stamp, self._frame_id))
-        if has_depth and self.wanted(DEPTH):
-            self._publish(DEPTH, depth_message(image.depth, stamp, self._frame_id))
+        if self.wanted(images.INFO):
+            self._publish(images.INFO, camera_info_message(image.intrinsics, stamp, self._frame_id))
+        if self.wanted(images.COLOR):
+            self._publish(images.COLOR, color_message(image.color, stamp, self._frame_id))
+        if has_depth and self.wanted(images.DEPTH):
+            self._publish(images.DEPTH, depth_message(image.depth, stamp, self._frame_id))
 
-    def info(self, intrinsics: Intrinsics) -> None:
+    def info(self, intrinsics: images.Intrinsics) -> None:
         """Publish the calibration alone, stamped now."""
-        self._publish(INFO, camera_info_message(intrinsics, _time(self.now()), self._frame_id))
+        self._publish(images.INFO, camera_info_message(intrinsics, _time(self.now()), self._frame_id))
 
     def _publish(self, kind: str, message: Any) -> None:
         if self._context.ok():
             self._publishers[kind].publish(message)
-            self.published += kind == COLOR
+            self.published += kind == images.COLOR
 
 
 def _time(stamp: int) -> Time:
@@ -177,7 +176,12 @@ def _time(stamp: int) -> Time:
 
 
 def detection_message(
-    placed: Placed, stamp: Time, confidence: float, distance: float, frame_id: str = FRAME, source: str = "both"
+    placed: mount.Placed,
+    stamp: Time,
+    confidence: float,
+    distance: float,
+    frame_id: str = mount.FRAME,
+    source: str = "both",
 ) -> ElectrodeDetection:
     """Convert electrodes to a message.
 
@@ -193,6 +197,6 @@ def detection_message(
     message.header.stamp, message.header.frame_id = stamp, frame_id
     place, turn = message.pose.pose.position, message.pose.pose.orientation
     place.x, place.y, place.z = (float(value) for value in placed.position)
-    turn.x, turn.y, turn.z, turn.w = (float(value) for value in quaternion(placed.rotation()))
+    turn.x, turn.y, turn.z, turn.w = (float(value) for value in mount.quaternion(placed.rotation()))
     message.pose.covariance = placed.known_covariance().ravel()
     return message

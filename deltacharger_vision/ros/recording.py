@@ -4,8 +4,6 @@
 It needs the package mcap, `deltacharger[record]`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,8 +13,7 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CameraInfo, Image
 
 from deltacharger_core.mcap_file import McapFile, RecordingError
-from deltacharger_vision.images import COLOR, DEPTH, INFO, RgbdImage, StampMatcher
-from deltacharger_vision.parameters import info_topic
+from deltacharger_vision import images, parameters
 from deltacharger_vision.ros.messages import intrinsics_of, rgbd_of, stamp_ns
 
 IMAGE, CAMERA_INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
@@ -84,7 +81,7 @@ class CameraRecording:
         Raises:
             RecordingError: the file ends early, or is damaged from here on.
         """
-        named = {getattr(self.topics, kind): kind for kind in kinds or (COLOR, DEPTH, INFO)}
+        named = {getattr(self.topics, kind): kind for kind in kinds or (images.COLOR, images.DEPTH, images.INFO)}
         named.pop("", None)
         for each in self._file.messages(*named):
             yield Recorded(named[each.topic], each.received, each.data)
@@ -103,7 +100,7 @@ def choose_topics(path: Path, types: Mapping[str, str], asked: CameraTopics) -> 
     depths = [camera + name for name in _DEPTH_NAMES if types.get(camera + name) == IMAGE]
     if not asked.depth and len(depths) > 1:
         raise RecordingError(f"{path}: several depth topics; name one of {', '.join(depths)}")
-    info = info_topic(color)
+    info = parameters.info_topic(color)
     return CameraTopics(
         color,
         _held(path, types, asked.depth, IMAGE) if asked.depth else "".join(depths),
@@ -126,7 +123,7 @@ def decoded(recording: CameraRecording, each: Recorded) -> Any:
     Raises:
         RecordingError: the data are not of its topic's type.
     """
-    kind = CameraInfo if each.kind == INFO else Image
+    kind = CameraInfo if each.kind == images.INFO else Image
     try:
         return deserialize_message(each.data, kind)
     except Exception as error:  # rclpy's own private classes
@@ -152,7 +149,7 @@ class RecordedImage:
         """The stamp in s."""
         return f"{self.stamp // 10**9}.{self.stamp % 10**9:09}"
 
-    def read(self, camera: Any) -> RgbdImage:
+    def read(self, camera: Any) -> images.RgbdImage:
         """Return it checked and converted, without depth if it has none; arguments and errors as of `rgbd_of`."""
         return rgbd_of(self.color, self.depth, camera)
 
@@ -165,8 +162,8 @@ def recorded_images(recording: CameraRecording) -> Iterator[RecordedImage]:
     Raises:
         RecordingError: the recording is damaged from this point on.
     """
-    matcher: StampMatcher[Any] = StampMatcher()
-    for each in recording.messages(COLOR, DEPTH):
+    matcher: images.StampMatcher[Any] = images.StampMatcher()
+    for each in recording.messages(images.COLOR, images.DEPTH):
         message = decoded(recording, each)
         stamp = stamp_ns(message)
         if not recording.topics.depth:
@@ -184,7 +181,7 @@ def recorded_info(recording: CameraRecording) -> Any:
         CameraInfoError: it is unusable.
         RecordingError: the recording is damaged.
     """
-    first = next(recording.messages(INFO), None) if recording.topics.info else None
+    first = next(recording.messages(images.INFO), None) if recording.topics.info else None
     if first is None:
         return None
     info = decoded(recording, first)

@@ -5,8 +5,6 @@ python lab/benchmarks/calibration.py                  errors before and after, a
 python lab/benchmarks/calibration.py --example FILE   one drawn arm as a file of measurements, as in docs/calibration.md
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 from collections.abc import Callable

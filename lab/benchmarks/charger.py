@@ -4,8 +4,6 @@
 python lab/benchmarks/charger.py [--seconds 30] [--json]
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -7,8 +7,6 @@ trajectories per second, as docking_node does while the arm moves. Target: 5 % o
 python lab/benchmarks/driver_cost.py [--seconds 30] [--json]
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import os

@@ -13,8 +13,6 @@ directions. A servo with a tripped watchdog holds its position without the lead 
 python lab/benchmarks/driver_kill.py [--tactile 10] [--dockings 1] [--json]
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import os

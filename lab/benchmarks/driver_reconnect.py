@@ -8,8 +8,6 @@ of the nodes' attempts to reopen. Torque is off, as after every unplugging.
 python lab/benchmarks/driver_reconnect.py [--replugs 20] [--json]
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import os

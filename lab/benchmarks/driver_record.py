@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Figures of a record of driver_long.py, with their targets."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -10,8 +10,6 @@ Servos answer after the time of their bytes at 1 Mbit/s. Cycles are measured bac
 python lab/benchmarks/pass_through.py [--cycles 500] [--json]
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import subprocess
@@ -29,10 +27,9 @@ from deltacharger_driver.board.keeper import BoardKeeper
 from deltacharger_driver.ports import PseudoTerminal
 from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.registers import BusSettings
+from deltacharger_sim import parameters, world
 from deltacharger_sim.emulators.board import BoardEmulator
 from deltacharger_sim.emulators.servo_bus import ServoBusEmulator
-from deltacharger_sim.parameters import WorldParameters
-from deltacharger_sim.world import SharedWorld, World
 
 ANGLES, CURRENTS = (-0.7, -0.5, -0.2), (0.3, 0.3, 0.3)
 ROUNDS = 5
@@ -41,7 +38,7 @@ FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 
 
 def new_servos() -> ServoBusEmulator:
-    servos = ServoBusEmulator(SharedWorld(World(WorldParameters())))
+    servos = ServoBusEmulator(world.SharedWorld(world.World(parameters.WorldParameters())))
     servos.faults.delay = ON_THE_WIRE
     return servos
 
@@ -68,7 +65,7 @@ def behind(board: str, folder: Path) -> Iterator[str]:
 
 @contextlib.contextmanager
 def emulated_board(folder: Path) -> Iterator[str]:
-    board = BoardEmulator(SharedWorld(World(WorldParameters())), servos=new_servos())
+    board = BoardEmulator(world.SharedWorld(world.World(parameters.WorldParameters())), servos=new_servos())
     with PseudoTerminal(board, folder / "board") as cable, behind(cable.path, folder) as port:
         yield port
 

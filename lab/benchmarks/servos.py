@@ -5,8 +5,6 @@ python lab/benchmarks/servos.py                       what docs/servo-calibratio
 python lab/benchmarks/servos.py --arms 400            enough to judge the standard errors
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import math
@@ -18,8 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deltacharger_core.machine import SERVO_STIFFNESS, TORQUE_CONSTANT
-from deltacharger_kinematics.calibration.servo_fit import WEIGHT_TOLERANCE, ServoTask
-from deltacharger_kinematics.calibration.servo_procedure import measure_servos
+from deltacharger_kinematics.calibration import servo_fit, servo_procedure
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_sim.parameters import ServoParameters, TargetParameters, WorldParameters
 
@@ -69,7 +66,7 @@ def drawn(seed: int, count: int) -> list[DrawnArm]:
                 random.uniform(0.02, 0.15),
                 random.uniform(0.0, 0.010),
                 TORQUE_CONSTANT * random.uniform(0.8, 1.2),
-                random.normal(1.0, WEIGHT_TOLERANCE),
+                random.normal(1.0, servo_fit.WEIGHT_TOLERANCE),
                 1000 * seed + number,
                 random.uniform(0.1, 0.3),
             )
@@ -91,7 +88,7 @@ def virtual(arm: DrawnArm) -> VirtualArm:
 
 def measured(arm: DrawnArm) -> Found:
     body = virtual(arm)
-    found = measure_servos(body, ServoTask(seed=arm.seed))
+    found = servo_procedure.measure_servos(body, servo_fit.ServoTask(seed=arm.seed))
     fit, true = found.fit, (np.array(arm.stiffness), arm.constant, arm.friction)
     values = (fit.stiffness, fit.torque_constant, fit.friction)
     parts = range(3)
@@ -130,7 +127,7 @@ def table(found: list[Found]) -> None:
         )
     own, own_estimated = np.array([each.own for each in found]), np.array([each.own_estimated for each in found])
     weights = np.array([each.weight for each in found])
-    row("the weight's error alone", weights, np.full(len(found), WEIGHT_TOLERANCE), 0.05)
+    row("the weight's error alone", weights, np.full(len(found), servo_fit.WEIGHT_TOLERANCE), 0.05)
     for part, (name, target) in enumerate(zip(NAMES, TARGETS, strict=True)):
         row(f"{name} without it", own[:, part].ravel(), own_estimated[:, part].ravel(), target)
     print(

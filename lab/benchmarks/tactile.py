@@ -4,8 +4,6 @@
 Takes about 20 seconds on one core with the default of 20 000 dockings per table.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import time

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Common parts of the campaign tests: a quick scene, and rows that compare equal although they have NaN."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The laboratory's tests use the helpers of the product's tests, by the name `test`, also where they run alone."""
 
-from __future__ import annotations
-
 import sys
 from importlib.util import find_spec
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The paper's protocol with few dockings, because each costs a third of a millisecond."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 

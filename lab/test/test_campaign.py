@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Campaigns: a docking depends only on seed and number, not on the worker or earlier dockings; comparisons."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math
@@ -18,11 +16,8 @@ import pytest
 import yaml
 
 from deltacharger_bringup.cli.main import main
-from deltacharger_lab.campaigns import docking
-from deltacharger_lab.campaigns.compare import compare_numbers, compare_rates
-from deltacharger_lab.campaigns.docking import RESULTS
+from deltacharger_lab.campaigns import compare, docking, runner
 from deltacharger_lab.campaigns.draw import draw
-from deltacharger_lab.campaigns.runner import run_batch, run_missing
 from deltacharger_lab.campaigns.store import CampaignError, CampaignRefused, Store, read_results
 from deltacharger_lab.campaigns.summary import summarise, wilson
 from test.chargers import Process, wait_until
@@ -48,15 +43,15 @@ def quick(tmp_path: Path) -> str:
 
 
 def expected(count: int) -> list[dict[str, Any]]:
-    return comparable(run_batch(settings(count).to_json(), range(count)))
+    return comparable(runner.run_batch(settings(count).to_json(), range(count)))
 
 
 def test_a_docking_depends_only_on_seed_and_number() -> None:
     text = settings(2).to_json()
-    forward = run_batch(text, [0, 1])
-    assert comparable(forward) == comparable(run_batch(text, [1]) + run_batch(text, [0]))
+    forward = runner.run_batch(text, [0, 1])
+    assert comparable(forward) == comparable(runner.run_batch(text, [1]) + runner.run_batch(text, [0]))
     assert forward[0]["seed"] != forward[1]["seed"]
-    assert comparable(run_batch(settings(2, seed=4).to_json(), [0])) != comparable(forward[:1])
+    assert comparable(runner.run_batch(settings(2, seed=4).to_json(), [0])) != comparable(forward[:1])
 
 
 @pytest.mark.parametrize(("workers", "count"), [(1, 2), rest(2, 6)])
@@ -69,7 +64,7 @@ def test_a_stopped_campaign_continues_with_what_is_missing(tmp_path: Path, worke
     for goes_on in (False, True):
         with Store(tmp_path, settings(count)) as store:
             stop = lambda goes_on=goes_on: not goes_on and bool(written)  # noqa: E731
-            run_missing(store, workers, report, stop, print, 1)
+            runner.run_missing(store, workers, report, stop, print, 1)
             assert goes_on == (store.missing() == [])
     assert sorted(written) == list(range(count))
     assert stored(tmp_path) == expected(count)
@@ -124,7 +119,7 @@ def test_a_killed_or_stopped_command_leaves_a_resumable_file_and_no_worker(
 
 def test_different_settings_are_refused_and_named(tmp_path: Path) -> None:
     with Store(tmp_path / "s", settings(3)) as store:
-        store.add(run_batch(store.settings.to_json(), [0]))
+        store.add(runner.run_batch(store.settings.to_json(), [0]))
     wider = {**QUICK, "target": {"x": [-0.004, 0.002], "y": [-0.002, 0.002], "roll": [-0.05, 0.05]}}
     for other, named in (
         (settings(3, seed=4), "seed is 4, was 3"),
@@ -141,7 +136,7 @@ def test_different_settings_are_refused_and_named(tmp_path: Path) -> None:
 
 def test_one_folder_has_one_writer_and_no_row_twice(tmp_path: Path) -> None:
     with Store(tmp_path / "s", settings(3)) as store:
-        rows = run_batch(store.settings.to_json(), [0, 1])
+        rows = runner.run_batch(store.settings.to_json(), [0, 1])
         assert [store.add(rows), store.add(rows)] == [2, 0]
         with pytest.raises(CampaignError, match="another process"), Store(tmp_path / "s", settings(3)):
             pass
@@ -167,11 +162,11 @@ def test_a_crash_becomes_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
         return real(drawn, exact, **more)
 
     monkeypatch.setattr(docking, "run", sometimes)
-    rows = run_batch(settings(3).to_json(), [0, 1, 2])
+    rows = runner.run_batch(settings(3).to_json(), [0, 1, 2])
     assert [row["code_name"] for row in rows] == ["NONE", "CRASHED", "NONE"]
     assert "ZeroDivisionError: no such thing" in rows[1]["error"]
     assert rows[1]["target.x"] == draw(scene(), 3, 1).values["target.x"]
-    summary = summarise({name: [row[name] for row in rows] for name in RESULTS | {"number": None}})
+    summary = summarise({name: [row[name] for row in rows] for name in docking.RESULTS | {"number": None}})
     assert (summary["n"], summary["crashed"], summary["refused"]) == (3, 1, {})
 
 
@@ -190,7 +185,7 @@ def test_intervals_of_numbers_have_their_nominal_coverage(trials: int) -> None:
     for trial in range(trials):
         common = random.gamma(2.0, 5.0, 80)
         a, b = common + random.normal(0.0, 1.0, 80), common + 0.5 + random.normal(0.0, 1.0, 80)
-        found = compare_numbers(a, b, trial)
+        found = compare.compare_numbers(a, b, trial)
         low, high = found["interval"]
         held += low <= 0.5 <= high
         seen += low > 0.0
@@ -202,7 +197,7 @@ def test_a_known_difference_of_rates_is_found() -> None:
     a = np.arange(200) % 10 > 0  # 90 %
     b = a.copy()
     b[:20] = False
-    found = compare_rates(a, b)
+    found = compare.compare_rates(a, b)
     assert found["difference"] == pytest.approx(-0.09)
     assert found["interval"][1] < 0.0
     assert (found["only_a"], found["only_b"]) == (18, 0)
@@ -212,7 +207,7 @@ def test_a_known_difference_of_rates_is_found() -> None:
 def test_the_command_reports_differences(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     for name, kind in (("a", {}), ("b", {"exact": True}), ("c", {"seed": 9})):
         with Store(tmp_path / name, settings(2, **kind)) as store:
-            store.add(run_batch(store.settings.to_json(), range(2)))
+            store.add(runner.run_batch(store.settings.to_json(), range(2)))
     a, b, c = (str(tmp_path / name) for name in "abc")
     code, found, _ = run(capsys, "--compare", a, b)
     assert (code, found["pairs"], found["differs"]) == (0, 2, ["exact: false → true"])

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A campaign continues only with the code that began it: every file that decides a docking changes the digest."""
 
-from __future__ import annotations
-
 import ast
 import json
 import subprocess

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Dockings of the quick charger against one that computes all that the nodes do, and to each scene's result."""
 
-from __future__ import annotations
-
 import random
 from functools import cache
 from typing import Any
@@ -13,15 +11,14 @@ import pytest
 from deltacharger_docking.arm import Planner
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry
-from deltacharger_lab.campaigns.docking import dock_once
-from deltacharger_lab.campaigns.scene import load_campaign_scene, parse_campaign_scene
+from deltacharger_lab.campaigns import docking, scene
 from deltacharger_sim.pads import ContactSource
 from deltacharger_sim.virtual.quick_charger import OnePieceFeed, QuickPlanner
 from test.marks import rest
 
 from .campaigns import QUICK
 
-packaged = cache(load_campaign_scene)
+packaged = cache(scene.load_campaign_scene)
 
 
 def test_frames_in_one_call_equal_single_frames() -> None:
@@ -80,8 +77,8 @@ def test_a_complete_line_is_sent_once_and_stops_at_hold() -> None:
     ],
 )
 def test_a_quick_docking_ends_like_a_full_one(content: dict[str, Any]) -> None:
-    quick = dock_once(parse_campaign_scene(content, "x"), 5, 0)
-    exact = dock_once(parse_campaign_scene(content, "x"), 5, 0, exact=True)
+    quick = docking.dock_once(scene.parse_campaign_scene(content, "x"), 5, 0)
+    exact = docking.dock_once(scene.parse_campaign_scene(content, "x"), 5, 0, exact=True)
     assert quick["error"] == exact["error"] == ""
     same = ("code_name", "charged", "shorts", "parted_live", "seed", "rig_seed", "goal_x", "place_x")
     assert {name: quick[name] for name in same} == {name: exact[name] for name in same}
@@ -106,7 +103,7 @@ def test_a_quick_docking_ends_like_a_full_one(content: dict[str, Any]) -> None:
 )
 def test_a_listed_docking_ends_as_it_must(number: int, codes: str) -> None:
     assert len(packaged("fixed").dockings) == 160
-    row = dock_once(packaged("fixed"), 8, number)
+    row = docking.dock_once(packaged("fixed"), 8, number)
     assert row["error"] == ""
     assert row["code_name"] in codes.split(), row["message"]
     assert (row["shorts"], row["energised_unsafe"], row["parted_live"]) == (0, 0.0, 0)
@@ -128,6 +125,6 @@ OTHERS = ("nudged", "second", "second_sensitive", "random_second")
     [("assumed_geometry", False), *(rest(name, exact) for name in (*NAMES, *OTHERS) for exact in (False, True))],
 )
 def test_a_packaged_scene_docks_safely(name: str, exact: bool) -> None:
-    row = dock_once(packaged(name), 7, 0, exact)
+    row = docking.dock_once(packaged(name), 7, 0, exact)
     assert (row["error"], row["shorts"], row["energised_unsafe"]) == ("", 0, 0.0)
     assert row.get("pads", "first") == ("second" if "second" in name else "first")

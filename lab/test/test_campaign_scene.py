@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scenes of campaigns: values within bounds, a world with the drawn values, and what is refused by key."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 import random

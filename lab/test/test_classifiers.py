@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The paper's classifiers: training, files, combined and reference dockings, and frames unlike training."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import json
@@ -14,17 +12,13 @@ import pytest
 from numpy.typing import NDArray
 
 import deltacharger_tactile
-from deltacharger_lab.training import reliability, splits
+from deltacharger_lab.training import inputs, judgement, reliability, splits
 from deltacharger_lab.training.classifier import DEFAULT, TrainableClassifier, write
-from deltacharger_lab.training.inputs import NAMES, digest
-from deltacharger_lab.training.judgement import evaluate_classifier
 from deltacharger_lab.training.labels import Examples, examples
-from deltacharger_lab.training.reliability import WINDOW, Familiarity
 from deltacharger_sim.pads import Rig, generate_continuous, generate_paper, measure
+from deltacharger_tactile import dataset, errors
 from deltacharger_tactile.classifiers import classifier
 from deltacharger_tactile.classifiers.classifier import Classifier
-from deltacharger_tactile.dataset import Dataset
-from deltacharger_tactile.errors import DatasetError, ModelError
 from deltacharger_tactile.parameters import TactileParameters
 from test.marks import night, rest
 
@@ -42,12 +36,12 @@ def marked(name: str) -> Any:
 
 
 @pytest.fixture(scope="module")
-def data() -> Dataset:
+def data() -> dataset.Dataset:
     return small_paper()
 
 
 @pytest.fixture(scope="module")
-def angle(data: Dataset) -> Examples:
+def angle(data: dataset.Dataset) -> Examples:
     return examples(data, "angle")
 
 
@@ -58,7 +52,7 @@ def trained(name: str, rows: Examples, target: str = "angle") -> tuple[Trainable
     return model, rows.part(judges)
 
 
-@pytest.mark.parametrize("name", [marked(name) for name in NAMES])
+@pytest.mark.parametrize("name", [marked(name) for name in inputs.NAMES])
 def test_numpy_matches_the_trainer_its_file_and_the_same_seed(name: str, angle: Examples, tmp_path: Path) -> None:
     model, rows = trained(name, angle)
     found = model.predict_proba(rows.frames)
@@ -107,13 +101,13 @@ def test_the_papers_networks_reach_its_accuracy_on_new_rigs() -> None:
 
 def test_frames_unlike_training_are_detected_after_calibration(angle: Examples) -> None:
     model, rows = trained(SIMPLE, angle)
-    before = evaluate_classifier(model, rows)
+    before = judgement.evaluate_classifier(model, rows)
     assert np.isnan([before["coverage"], before["act_rate"], before["drift_rate"]]).all()
-    with pytest.raises(ModelError, match="too few"):
+    with pytest.raises(errors.ModelError, match="too few"):
         model.calibrate(rows.frames[:5], rows.labels[:5])
     model.calibrate(rows.frames, rows.labels)
     assert model.reliability is not None
-    after = evaluate_classifier(model, rows)
+    after = judgement.evaluate_classifier(model, rows)
     assert after["drift_rate"] < 0.05
     assert after["coverage"] >= reliability.NOMINAL
     for strange in (0.5 * rows.frames, 2.0 * rows.frames, np.zeros_like(rows.frames)):
@@ -134,11 +128,11 @@ def test_what_calibration_learnt_is_in_the_file_and_robots_read_it_without(angle
         arrays = dict(file)
     about = json.loads(str(arrays["about"])) | {"reliability": {"a": 1}}
     np.savez(path, **arrays | {"about": np.array(json.dumps(about))})
-    with pytest.raises(ModelError, match=path.name):
+    with pytest.raises(errors.ModelError, match=path.name):
         TrainableClassifier.load(path)
 
 
-def test_a_target_uses_the_rows_that_vary_it(data: Dataset) -> None:
+def test_a_target_uses_the_rows_that_vary_it(data: dataset.Dataset) -> None:
     for target, counts in (("angle", [40] * 6), ("vertical", [40] * 5), ("horizontal", [40] * 5)):
         assert np.bincount(examples(data, target).labels).tolist() == counts
     continuous = generate_continuous(rigs=(3,), count=50, seed=1)
@@ -167,9 +161,9 @@ USELESS = {
 @pytest.mark.parametrize("frames", USELESS.values(), ids=USELESS)
 def test_frames_that_teach_nothing_are_refused_with_what_to_do(frames: Any, angle: Examples) -> None:
     useless = frames(angle)
-    with pytest.raises(DatasetError, match=r"class \d .* [01] different frames in contact.* record more"):
+    with pytest.raises(errors.DatasetError, match=r"class \d .* [01] different frames in contact.* record more"):
         TrainableClassifier(SIMPLE, "angle").fit(useless, angle.labels)
-    with pytest.raises(ModelError, match=r"[016] different frames in contact"):
+    with pytest.raises(errors.ModelError, match=r"[016] different frames in contact"):
         TREE.calibrate(useless, angle.labels)
 
 
@@ -197,7 +191,7 @@ def test_reference_dockings_remove_a_constant_tilt(name: str) -> None:
     before, as_trained = accuracy(new), accuracy(usual)
     ten = np.full(10, 2)
     for useless in (new[:1], np.repeat(new[:1], 10, axis=0), 0.0 * new):
-        with pytest.raises(ModelError, match=r"[01] different reference dockings are too few"):
+        with pytest.raises(errors.ModelError, match=r"[01] different reference dockings are too few"):
             model.refer(useless, wanted[: len(useless)])
     model.refer(dockings(rig, np.zeros(10), 4), ten)
     assert accuracy(usual) > as_trained - 0.04, "little loss without a change"
@@ -210,7 +204,7 @@ def docked(target: str, seed: int, parameters: TactileParameters | None = None, 
     return np.nan_to_num(examples(data, target).frames)
 
 
-Known = tuple[Familiarity, Frames]
+Known = tuple[reliability.Familiarity, Frames]
 
 
 @pytest.fixture(scope="module", params=["angle", rest("horizontal")])
@@ -220,7 +214,7 @@ def known(request: pytest.FixtureRequest) -> Known:
     return reliability.learn_familiar(learnt, THRESHOLD), other
 
 
-def fired(known: Familiarity, frames: Frames, size: int = WINDOW) -> float:
+def fired(known: reliability.Familiarity, frames: Frames, size: int = reliability.WINDOW) -> float:
     random = np.random.default_rng(0)
     windows = [frames[random.choice(len(frames), size, replace=False)] for _ in range(20)]
     return float(np.mean([known.strange_together(window, THRESHOLD) for window in windows]))
@@ -230,7 +224,7 @@ def test_other_dockings_of_the_same_rig_are_familiar(known: Known) -> None:
     learnt, frames = known
     assert learnt.strange(frames, THRESHOLD).mean() <= 0.01
     assert fired(learnt, frames) <= 0.05
-    window = frames[::7][:WINDOW].copy()
+    window = frames[::7][: reliability.WINDOW].copy()
     window[0] = 0.0
     assert not learnt.strange_together(window, THRESHOLD), "one strange docking does not decide"
 
@@ -252,7 +246,7 @@ def test_gross_changes_show_in_each_frame_and_lost_rows_in_a_window(known: Known
         assert learnt.strange(strange, THRESHOLD).mean() > 0.9
     lost = frames.copy()
     lost[:, 0, 4:6] = 0.0
-    assert fired(learnt, lost, 2 * WINDOW) > 0.5
+    assert fired(learnt, lost, 2 * reliability.WINDOW) > 0.5
 
 
 def test_sets_of_held_out_frames_reach_nominal_coverage(known: Known) -> None:
@@ -273,7 +267,7 @@ def test_a_classifier_trained_on_other_packaged_models_is_refused(tmp_path: Path
     width = TrainableClassifier("pose", "vertical")._inputs(np.ones((1, 2, 10, 10))).shape[1]
     arrays = {"weights": np.zeros((width, 5)), "bias": np.zeros(5), "usual": np.zeros(width)}
     about = {"name": "pose", "target": "vertical", "threshold": 1.0, "kind": "linear"}
-    for pretrained, fits in ((digest("vertical", 1.0), True), ("0" * 16, False)):
+    for pretrained, fits in ((inputs.digest("vertical", 1.0), True), ("0" * 16, False)):
         write(tmp_path / "model.npz", {**about, "pretrained": pretrained}, arrays)
-        with contextlib.nullcontext() if fits else pytest.raises(ModelError, match="version"):
+        with contextlib.nullcontext() if fits else pytest.raises(errors.ModelError, match="version"):
             TrainableClassifier.load(tmp_path / "model.npz")

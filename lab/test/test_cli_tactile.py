@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`python -m deltacharger_lab.training`: data sets, classifiers, and their errors."""
 
-from __future__ import annotations
-
 import json
 from functools import partial
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Commands of the lab without a library; a report's targets and pictures."""
 
-from __future__ import annotations
-
 import errno
 import json
 import math

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whole charges of ten kinds of targets, the compiled firmware as board, over the link's bytes, in virtual time."""
 
-from __future__ import annotations
-
 import random
 from dataclasses import replace
 from typing import Any
@@ -11,16 +9,7 @@ import pytest
 
 from deltacharger_core.machine import ChargeLimits
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_driver.board.protocol import (
-    AckError,
-    PacketType,
-    Power,
-    decode_ack,
-    decode_power,
-    decode_probe,
-    encode_close,
-    encode_limit,
-)
+from deltacharger_driver.board import protocol
 from deltacharger_driver.packets import Packet, PacketDecoder, encode_packet
 from deltacharger_lab.campaigns.targets import LIMIT, ROWS, TargetCase
 from deltacharger_sim.circuit import Circuit
@@ -51,22 +40,22 @@ class FirmwarePower:
         self.host = BoardHost(host_programs() / "board_host")
         self._decoder, self._sequence = PacketDecoder(), 0
         self._answers: dict[int, Any] = {}
-        self._power = Power(float("nan"), float("nan"), float("nan"), False, 0)
+        self._power = protocol.Power(float("nan"), float("nan"), float("nan"), False, 0)
         self._take(self.host.sent("boot 0"))
 
     def _take(self, data: bytes) -> None:
         for packet in self._decoder.feed(data):
-            if packet.type == PacketType.POWER:
-                self._power = decode_power(packet.payload)
-            elif packet.type == PacketType.ACK:
-                answer = decode_ack(packet.payload)
+            if packet.type == protocol.PacketType.POWER:
+                self._power = protocol.decode_power(packet.payload)
+            elif packet.type == protocol.PacketType.ACK:
+                answer = protocol.decode_ack(packet.payload)
                 self._answers[answer.type] = answer
 
-    def _send(self, type: int, payload: bytes = b"") -> AckError:
+    def _send(self, type: int, payload: bytes = b"") -> protocol.AckError:
         self._sequence = (self._sequence + 1) % 65536
         self._answers.pop(type, None)
         self._take(self.host.sent(f"wire {encode_packet(Packet(type, payload, self._sequence)).hex()}"))
-        return AckError(self._answers[type].error) if type in self._answers else AckError.DONE
+        return protocol.AckError(self._answers[type].error) if type in self._answers else protocol.AckError.DONE
 
     def poll(self, now: float) -> None:
         reading = self._circuit.read_power()
@@ -77,28 +66,28 @@ class FirmwarePower:
         state = self.host.state()
         self._circuit.drive(Outputs(bool(state["precharge"]), bool(state["coil"]), state["limit"], state["voltage"]))
 
-    def report(self) -> Power:
+    def report(self) -> protocol.Power:
         return self._power
 
     def heartbeat(self, now: float) -> None:
-        self._send(PacketType.HEARTBEAT)
+        self._send(protocol.PacketType.HEARTBEAT)
 
-    def close(self, limits: ChargeLimits, now: float) -> AckError:
-        return self._send(PacketType.CONTACTOR, encode_close(limits))
+    def close(self, limits: ChargeLimits, now: float) -> protocol.AckError:
+        return self._send(protocol.PacketType.CONTACTOR, protocol.encode_close(limits))
 
-    def limit(self, current: float) -> AckError:
-        return self._send(PacketType.CONTACTOR, encode_limit(current))
+    def limit(self, current: float) -> protocol.AckError:
+        return self._send(protocol.PacketType.CONTACTOR, protocol.encode_limit(current))
 
     def open(self, now: float) -> None:
-        self._send(PacketType.CONTACTOR, b"\0")
+        self._send(protocol.PacketType.CONTACTOR, b"\0")
 
-    def start_probe(self, now: float) -> AckError:
+    def start_probe(self, now: float) -> protocol.AckError:
         self.host.command("probe {} {}".format(*self._circuit.probe()))
-        return self._send(PacketType.PROBE)
+        return self._send(protocol.PacketType.PROBE)
 
     def poll_probe(self, now: float) -> tuple[float, float] | None:
-        answer = self._answers.get(PacketType.PROBE)
-        return None if answer is None or answer.error else decode_probe(answer.data)
+        answer = self._answers.get(protocol.PacketType.PROBE)
+        return None if answer is None or answer.error else protocol.decode_probe(answer.data)
 
 
 class FirmwareCharger(VirtualCharger):

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Faults of hostile dockings: the table is complete, each fault acts, comes and goes, and leaves nothing behind."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import random
@@ -11,9 +9,8 @@ from typing import Any
 import pytest
 
 from deltacharger_core.machine import ChargeLimits
-from deltacharger_docking.codes import Code
+from deltacharger_docking import codes, parameters
 from deltacharger_docking.observation import Observation, Request, Service
-from deltacharger_docking.parameters import DockingParameters
 from deltacharger_lab.campaigns import docking
 from deltacharger_lab.campaigns.docking import columns, dock_once, run
 from deltacharger_lab.campaigns.draw import draw
@@ -56,7 +53,7 @@ class Bench:
     def __init__(self, *faults: Acting, exact: bool = False) -> None:
         world = FREE if any(a.fault.target is not None for a in faults) else TOUCHING
         self.trial = Trial("default", 1, list(faults))
-        pads, used = self.trial.pads(ContactSource(None, 900, 1)), DockingParameters()
+        pads, used = self.trial.pads(ContactSource(None, 900, 1)), parameters.DockingParameters()
         self.charger = (
             ExactHostile(self.trial, world, used, 1, 900, pads)
             if exact
@@ -101,7 +98,7 @@ def test_the_table_is_complete() -> None:
     assert len({fault.name for fault in FAULTS}) == len(FAULTS)
     for fault in FAULTS:
         assert fault.codes.split(), fault.name
-        assert {*fault.codes.split()} <= {code.name for code in Code} - {"INTERNAL", "REJECTED"}, fault.name
+        assert {*fault.codes.split()} <= {code.name for code in codes.Code} - {"INTERNAL", "REJECTED"}, fault.name
         assert any(getattr(fault, channel) for channel in CHANNELS), fault.name
     assert set(SCENES) == {base.name for base in load_campaign_scene("hostile").bases}
 

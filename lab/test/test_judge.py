@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The judge of hostile dockings: each check on a case that breaks its law, and on one that does not."""
 
-from __future__ import annotations
-
 import math
 import random
 from types import SimpleNamespace

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The light model against MuJoCo and statics with equal parameters: at rest, in contact, leaning."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """MuJoCo's renderer against the ray-caster: the same positions, depths and materials."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import subprocess
@@ -14,21 +12,19 @@ import numpy as np
 import pytest
 
 from deltacharger_lab.mujoco.camera import MujocoCamera, RendererError
-from deltacharger_vision.images import Intrinsics
+from deltacharger_vision import images, terminal
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
 from deltacharger_vision.rendering.scene import CameraParameters, RenderedScene
-from deltacharger_vision.terminal import UPPER, Terminal
 from test.marks import rest
-from test.vision.views import EVEN, FACES, VIEWS, cover, edge_errors, linear, shown, view
-from test.vision.views import IDEAL as EXACT
+from test.vision.views import EVEN, FACES, IDEAL as EXACT, VIEWS, cover, edge_errors, linear, shown, view
 
 IDEAL = dataclasses.replace(EXACT, disparities=1e4)
 """Sees depth at any distance."""
-OTHER = Intrinsics(500, 380, 310.0, 352.0, 221.4, 208.3)
+OTHER = images.Intrinsics(500, 380, 310.0, 352.0, 221.4, 208.3)
 """Neither square pixels nor a principal point in the middle."""
 
 
-def opened(lens: Intrinsics, parameters: CameraParameters) -> MujocoCamera:
+def opened(lens: images.Intrinsics, parameters: CameraParameters) -> MujocoCamera:
     try:
         return MujocoCamera(lens, parameters)
     except RendererError as error:
@@ -69,18 +65,20 @@ def flat(depth: np.ndarray) -> np.ndarray:
 
 def test_light_shadow_highlight_and_streaks_are_those_of_the_scene(camera: MujocoCamera) -> None:
     pose = view(0.25)
-    places = np.array([*Terminal().corners().mean(axis=1), (0.05, 0.05, 0.006), (0.3, 0.0, EVEN.wall_distance)])
+    places = np.array(
+        [*terminal.Terminal().corners().mean(axis=1), (0.05, 0.05, 0.006), (0.3, 0.0, EVEN.wall_distance)]
+    )
     columns, rows = np.rint(shown(places, pose, OAK_D)).astype(int).T
     lit = RenderedScene(parameters=EVEN, light=(0.0, 1.0, -0.7))
     ours, theirs = (linear(ideal(lit, pose, each).color) for each in (camera, SimulatedCamera(parameters=IDEAL)))
     assert ours[rows, columns] == pytest.approx(theirs[rows, columns], rel=0.05)
-    shaded = np.array([0.0, -Terminal().spacing / 2 - 0.008, 0.006]), np.array([0.0, -0.04, 0.006])
+    shaded = np.array([0.0, -terminal.Terminal().spacing / 2 - 0.008, 0.006]), np.array([0.0, -0.04, 0.006])
     (column, below), (_, free) = np.rint(shown(np.array(shaded), pose, OAK_D)).astype(int)
     bright = EVEN.ambient + EVEN.diffuse * 0.7 / np.hypot(1.0, 0.7)
     assert ours[below, column] / ours[free, column] == pytest.approx(EVEN.ambient / bright, rel=0.12), "a bar's shadow"
     shining = RenderedScene(parameters=dataclasses.replace(EVEN, highlight=0.9), light=(0.0, 0.0, -1.0))
     straight, aside = (
-        ideal(each, pose, camera).color[rows[UPPER], columns[UPPER]].max()
+        ideal(each, pose, camera).color[rows[terminal.UPPER], columns[terminal.UPPER]].max()
         for each in (shining, dataclasses.replace(shining, light=(1.0, 0.0, -0.3)))
     )
     assert straight == 255 > 230 > aside
@@ -94,7 +92,7 @@ def test_light_shadow_highlight_and_streaks_are_those_of_the_scene(camera: Mujoc
 @pytest.mark.parametrize(
     ("lens", "pose"), [(OAK_D, VIEWS[2]), (OTHER, view(0.25, 0.3, 0.2, 0.4)), *(rest(OAK_D, pose) for pose in VIEWS)]
 )
-def test_edges_depth_and_silhouettes_match_the_ray_caster(lens: Intrinsics, pose: np.ndarray) -> None:
+def test_edges_depth_and_silhouettes_match_the_ray_caster(lens: images.Intrinsics, pose: np.ndarray) -> None:
     covered = RenderedScene(parameters=EVEN, foreground=(cover(0.4),))
     with opened(lens, IDEAL) as other:
         errors, ours = np.abs(edge_errors(ideal(FACES, pose, other), pose)), ideal(covered, pose, other).depth

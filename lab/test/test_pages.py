@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Generated pages and policies: they are complete. CI generates them and compares them with the committed ones."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree

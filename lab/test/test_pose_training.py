@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Training of the pose estimator: what it needs, and its files."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Precision relative to 60-digit arithmetic, and reachability."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 
 import numpy as np
@@ -11,12 +9,10 @@ import pytest
 from deltacharger_kinematics import Delta, DeltaGeometry, Status
 from deltacharger_kinematics.exact import exact_discriminant
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_lab.reports.kinematics import sets
-from deltacharger_lab.reports.kinematics.reference import ExactDelta
-from deltacharger_lab.reports.kinematics.sets import ADJUSTED
+from deltacharger_lab.reports.kinematics import reference, sets
 from test.marks import night
 
-NOMINAL, CALIBRATED = DeltaGeometry(), DeltaGeometry(limbs=ADJUSTED)
+NOMINAL, CALIBRATED = DeltaGeometry(), DeltaGeometry(limbs=sets.ADJUSTED)
 GEOMETRIES = {
     "nominal": NOMINAL,
     "calibrated": CALIBRATED,
@@ -32,7 +28,7 @@ def box_points(geometry: DeltaGeometry, count: int) -> np.ndarray:
     return np.random.default_rng(7).uniform(geometry.workspace_min, geometry.workspace_max, (count, 3))
 
 
-def worst_error(given: np.ndarray, points: np.ndarray, exact: ExactDelta) -> float:
+def worst_error(given: np.ndarray, points: np.ndarray, exact: reference.ExactDelta) -> float:
     """Return the largest error (rad) of `given` angles (n, 3); infinite if reachability is wrong."""
     true = exact.inverse(points).angles
     right = np.array_equal(np.isnan(given), np.isnan(true.high))
@@ -50,7 +46,7 @@ every_geometry = pytest.mark.parametrize("geometry", GEOMETRIES.values(), ids=GE
 
 @pytest.mark.parametrize("count", [60, night(800)])
 def test_the_workspace_is_solved_to_the_last_digits(count: int) -> None:
-    points, exact = box_points(NOMINAL, count), ExactDelta()
+    points, exact = box_points(NOMINAL, count), reference.ExactDelta()
     assert max(worst_error(angles, points, exact) for angles in solved(Delta(), points)) <= INTERIOR
 
 
@@ -60,7 +56,7 @@ def test_points_inside_the_edge_are_solved_to_the_last_digit_and_none_outside(
     geometry: DeltaGeometry, count: int
 ) -> None:
     """From 1e-17 m, far less than a unit in the last place."""
-    random, delta, exact = np.random.default_rng(11), Delta(geometry), ExactDelta(geometry)
+    random, delta, exact = np.random.default_rng(11), Delta(geometry), reference.ExactDelta(geometry)
     inside, outside = sets.boundary(exact, random, count), sets.outside(exact, random, count, -17.0, -3.0).points
     assert len(inside.points) == len(outside) == count
     batch, alone = (worst_error(angles, inside.points, exact) for angles in solved(delta, inside.points))

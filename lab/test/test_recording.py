@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`generate --protocol docked`: the paper's dockings by the real movements, in virtual time."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import json

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Complete quick reports, run as commands: their files and targets. Only at night."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`deltacharger report docking`: bounds, bins and targets, and a report that continues."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path
@@ -13,10 +11,13 @@ import pytest
 
 from deltacharger_bringup.cli.main import main
 from deltacharger_lab.campaigns.summary import upper_bound
-from deltacharger_lab.reports.docking import hostile, lean
-from deltacharger_lab.reports.docking import pictures as lean_picture
-from deltacharger_lab.reports.docking import report as docking_report
-from deltacharger_lab.reports.docking import summary as docking_summary
+from deltacharger_lab.reports.docking import (
+    hostile,
+    lean,
+    pictures as lean_picture,
+    report as docking_report,
+    summary as docking_summary,
+)
 from deltacharger_lab.reports.docking.pictures import PICTURES
 from deltacharger_lab.reports.docking.summary import Columns
 

@@ -1,16 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """`deltacharger report footprint`: which scenes it measures, its medians and targets."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 
 import pytest
 
 from deltacharger_bringup.scenes.scene import load_scene, packaged_scenes
-from deltacharger_lab.reports.footprint import measure as footprint
-from deltacharger_lab.reports.footprint import report as footprint_report
+from deltacharger_lab.reports.footprint import measure as footprint, report as footprint_report
 from deltacharger_lab.reports.footprint.measure import ONE, SEPARATE
 
 pytestmark = [

@@ -1,23 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """`deltacharger report kinematics`: its reference, and its headline on few points."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
 import pytest
 
 from deltacharger_kinematics import DeltaGeometry
-from deltacharger_lab.reports.kinematics import report, sets
-from deltacharger_lab.reports.kinematics.reference import ExactDelta
-from deltacharger_lab.reports.kinematics.sets import ADJUSTED
+from deltacharger_lab.reports.kinematics import reference, report, sets
 
 
-@pytest.mark.parametrize("geometry", [DeltaGeometry(), DeltaGeometry(limbs=ADJUSTED)], ids=["plain", "adjusted"])
+@pytest.mark.parametrize("geometry", [DeltaGeometry(), DeltaGeometry(limbs=sets.ADJUSTED)], ids=["plain", "adjusted"])
 def test_the_reference_brings_points_back_to_30_digits(geometry: DeltaGeometry) -> None:
     """Inverse and forward are independent code, so they agree only if both are right."""
-    exact = ExactDelta(geometry)
+    exact = reference.ExactDelta(geometry)
     points = sets.interior(geometry, np.random.default_rng(3), 20).points
     solved = exact.inverse(points).angles
     nudge = exact.forward(solved.high)
@@ -29,7 +25,7 @@ def test_the_reference_brings_points_back_to_30_digits(geometry: DeltaGeometry) 
 def test_the_frozen_headline_holds_on_few_points() -> None:
     """docs/reports/kinematics.md, version 1.0.0, seed 1: errors at rounding, no wrong decision on reach."""
     plan = dataclasses.replace(report.make_plan(1, True), points=50)
-    exact, solvers = ExactDelta(), report.inverse_solvers(DeltaGeometry())
+    exact, solvers = reference.ExactDelta(), report.inverse_solvers(DeltaGeometry())
     samples = report.inverse_samples(exact, plan)
     for solver in solvers:
         for sample in samples:

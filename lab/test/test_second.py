@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Laws of the second contact physics: forces, symmetry, convergence, extremes; its sheets, source and data sets."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from itertools import product
@@ -12,9 +10,7 @@ import numpy as np
 import pytest
 
 from deltacharger_core.parameters import ParameterError, from_mapping
-from deltacharger_lab.second.device import Sheets, SheetSensor
-from deltacharger_lab.second.equilibrium import Equilibrium, PadFoundation, Ridges, SpringBars
-from deltacharger_lab.second.generator import SecondSource, dock_anew
+from deltacharger_lab.second import device, equilibrium, generator
 from deltacharger_lab.second.parameters import (
     BarParameters,
     FoundationParameters,
@@ -32,9 +28,9 @@ from test.tactile.test_contact import (
     seeds_determine_readings_and_force_is_read_only_in_contact,
 )
 
-RIDGES = Ridges(np.array([3e-5, -2e-5]), np.array([-1e-5, 4e-5]))
+RIDGES = equilibrium.Ridges(np.array([3e-5, -2e-5]), np.array([-1e-5, 4e-5]))
 
-MODEL = Equilibrium()
+MODEL = equilibrium.Equilibrium()
 
 
 def test_force_and_moments_balance_and_nothing_pulls() -> None:
@@ -64,7 +60,7 @@ def test_mirroring_the_pose_mirrors_pads_and_bars() -> None:
 
 def test_the_lower_layer_spreads_without_loss_and_solves_its_equation() -> None:
     parameters = FoundationParameters()
-    pads = PadFoundation(SecondParameters().dimensions, parameters)
+    pads = equilibrium.PadFoundation(SecondParameters().dimensions, parameters)
     pressure = np.random.default_rng(0).uniform(0.0, 1e5, (3, len(pads.x)))
     assert np.allclose(pads.taxels(pressure).sum(axis=(1, 2, 3)), pressure.sum(axis=1) * pads.area)
     # k (w − ℓ² ∇²w) = p inside the grid, by finite differences
@@ -78,7 +74,10 @@ def test_the_lower_layer_spreads_without_loss_and_solves_its_equation() -> None:
 
 
 def test_pressure_and_slope_are_derivatives_of_the_energy() -> None:
-    pads, bars = PadFoundation(SecondParameters().dimensions, FoundationParameters()), SpringBars(BarParameters())
+    pads, bars = (
+        equilibrium.PadFoundation(SecondParameters().dimensions, FoundationParameters()),
+        equilibrium.SpringBars(BarParameters()),
+    )
     depth = np.linspace(-1e-3, 3e-3, 4001)
     smooth = np.abs(depth) > 5e-6  # the curve starts with a kink
     for law in (pads, bars):
@@ -104,7 +103,7 @@ def test_extreme_poses_forces_and_families_come_to_rest(values: dict[str, dict[s
     many = np.array([*random.uniform([-0.03, -0.03, -0.53], [0.03, 0.03, 0.53], (48, 3)), *corners])
     force = np.append(10.0 ** random.uniform(-1.0, 2.7, 48), np.resize([0.1, 5.0, 500.0], 27))
     lean = (0.01, -0.01) if values else (0.03, -0.03)
-    found = Equilibrium(from_mapping(values, SecondParameters)).solve(many, force, many[:, :2], lean)
+    found = equilibrium.Equilibrium(from_mapping(values, SecondParameters)).solve(many, force, many[:, :2], lean)
     touching = np.isfinite(found.state[:, 0])
     borne = found.taxels.sum(axis=(1, 2, 3)) + found.bars.sum(axis=1)
     assert touching[:48].mean() > 0.8
@@ -133,17 +132,17 @@ PLAIN = SheetParameters(
 )  # fmt: skip
 
 
-def sheet(seed: int = 3, **values: float) -> SheetSensor:
+def sheet(seed: int = 3, **values: float) -> device.SheetSensor:
     parameters = dataclasses.replace(PLAIN, **values)
     random = np.random.default_rng(seed)
-    return SheetSensor(parameters, Sheets.draw(parameters, random), random)
+    return device.SheetSensor(parameters, device.Sheets.draw(parameters, random), random)
 
 
 def even(force: float) -> np.ndarray:
     return np.full((1, 2, 10, 10), force)
 
 
-def reading(sensor: SheetSensor, force: float | None, pad: int = 0) -> float:
+def reading(sensor: device.SheetSensor, force: float | None, pad: int = 0) -> float:
     raw = sensor.read(None if force is None else even(force))
     return float(raw[0, 0, pad, 5, 5]) - PLAIN.pedestal
 
@@ -179,7 +178,7 @@ def test_creep_grows_per_decade_and_shifts_the_zero_until_it_recovers() -> None:
 def test_no_reading_lies_between_zero_and_the_dead_band() -> None:
     parameters = dataclasses.replace(PLAIN, dead_band=1.0, dead_band_spread=0.1, noise=0.02, noise_gain=0.015)
     random = np.random.default_rng(1)
-    sensor = SheetSensor(parameters, Sheets.draw(parameters, random), random)
+    sensor = device.SheetSensor(parameters, device.Sheets.draw(parameters, random), random)
     tare = sensor.read(None, 1.0, 60, 1 / 120).mean(axis=0)
     ramp = np.linspace(0.0, 3.0, 200).reshape(1, 2, 10, 10)
     tared = np.concatenate([(sensor.read(ramp * share) - tare).ravel() for share in (0.2, 0.6, 1.0)])
@@ -190,7 +189,7 @@ def test_no_reading_lies_between_zero_and_the_dead_band() -> None:
 
 @pytest.mark.parametrize("force", [0.0, rest(0.1), 500.0])
 def test_a_source_stays_finite_and_bounded(force: float) -> None:
-    source, time = SecondSource(rig_seed=7), 0.0
+    source, time = generator.SecondSource(rig_seed=7), 0.0
     for pose in ((0.03, 0.03, 0.52), (-0.03, 0.0, -0.52), (0.0, 0.0, 0.0), (0.0, -0.03, 0.52)):
         for step, yaw in ((0.0, -0.1), (1e-3, 0.0), (1e4, 0.1)):
             time += step
@@ -204,7 +203,7 @@ def test_a_source_stays_finite_and_bounded(force: float) -> None:
 @pytest.mark.parametrize("count", [5, rest(30)])
 def test_a_data_set_has_the_first_poses_and_new_readings(count: int) -> None:
     known = generate_continuous(rigs=(3, 4), count=count, seed=1, threshold=0.0)
-    fresh, again, other = (dock_anew(known, seed, 2) for seed in (5, 5, 6))
+    fresh, again, other = (generator.dock_anew(known, seed, 2) for seed in (5, 5, 6))
     for name in ("angle", "vertical", "horizontal", "rig", "attempt", "subset"):
         assert np.array_equal(getattr(fresh, name), getattr(known, name))
     assert np.array_equal(fresh.left, again.left)
@@ -219,5 +218,5 @@ def test_it_has_the_laws_of_the_first_physics(arm: Callable[..., Any]) -> None:
     batch_equals_its_single_contacts(lambda pose: MODEL.solve(pose, 60.0, ridges=RIDGES).taxels, 1e-3)
     assert not MODEL.solve((0.0, 0.05, 0.0), 60.0).taxels.any()
     assert not MODEL.solve((0.0, 0.0, 0.0), 0.0).taxels.any()
-    seeds_determine_readings_and_force_is_read_only_in_contact(SecondSource, 5.0)
-    yawed_target_comes_nearer_on_that_side_and_loads_that_pad(arm, SecondSource, 0.0)
+    seeds_determine_readings_and_force_is_read_only_in_contact(generator.SecondSource, 5.0)
+    yawed_target_comes_nearer_on_that_side_and_loads_that_pad(arm, generator.SecondSource, 0.0)

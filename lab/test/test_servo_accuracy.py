@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`deltacharger calibrate servos` on drawn arms is as accurate as its page says."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command `deltacharger`, run in this process."""
 
-from __future__ import annotations
-
 import json
 import shlex
 from collections.abc import Mapping

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`deltacharger calibrate kinematics`: its output, its files and its errors."""
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
 

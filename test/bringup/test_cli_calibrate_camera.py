@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`deltacharger calibrate camera` on rendered views with a known mount, and on wrong input."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Callable
 from pathlib import Path
@@ -12,8 +10,7 @@ import pytest
 import yaml
 
 from deltacharger_bringup.cli.camera_views import VIEWS, ViewsError, ViewsFolder, read_rows
-from deltacharger_vision.image_files import load_camera_info
-from deltacharger_vision.images import Intrinsics
+from deltacharger_vision import image_files, images
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.rendering.camera import OAK_D
 
@@ -138,9 +135,9 @@ def test_a_folder_resumes_only_with_the_same_settings(blank: Path, tmp_path: Pat
     assert len(folder.angles) == COUNT
     assert folder.add(np.zeros((400, 640, 3), dtype=np.uint8), (0.1, 0.2, 0.3)) == "view_010.png"
     assert read_rows(blank)[-1].angles == pytest.approx((0.1, 0.2, 0.3))
-    assert load_camera_info(blank / "camera_info.yaml") == OAK_D
+    assert image_files.load_camera_info(blank / "camera_info.yaml") == OAK_D
     with pytest.raises(ViewsError, match="other intrinsics"):
-        ViewsFolder(blank, Intrinsics(640, 400, 440.0, 441.0, 319.5, 199.5))
+        ViewsFolder(blank, images.Intrinsics(640, 400, 440.0, 441.0, 319.5, 199.5))
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "photo.png").touch()
     with pytest.raises(ViewsError, match="other files"):

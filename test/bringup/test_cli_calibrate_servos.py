@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`deltacharger calibrate servos`: with an arm that fails in a given step, and over the real bytes."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys
@@ -18,8 +16,7 @@ import deltacharger_bringup.cli.calibrate_servos as command
 import deltacharger_bringup.records.arm_client as measuring
 from deltacharger_bringup.cli.output import FAILED, CommandError
 from deltacharger_bringup.records.arm_client import ArmError
-from deltacharger_core.servo_types import MeasuredServos
-from deltacharger_core.yaml_file import read_declared
+from deltacharger_core import servo_types, yaml_file
 
 from ..chargers import Process, wait_until
 
@@ -81,7 +78,7 @@ def test_servos_are_measured_over_the_real_bytes(context: Any, start: Callable[.
         wait_until(lambda: not any(charger.world.torque), "torque off")
     result = json.loads(process.out[0])
     assert (result["success"], result["written"], result["doubts"]) == (True, str(path), [])
-    found = read_declared(path, MeasuredServos)
+    found = yaml_file.read_declared(path, servo_types.MeasuredServos)
     assert (found.stiffness, found.torque_constant) == pytest.approx((10.0, 1.3), rel=0.05)
     assert result["friction"][3][0] == pytest.approx(0.08, rel=0.2)
     assert found.position_p_gain == 434

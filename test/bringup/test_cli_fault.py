@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`deltacharger fault` on running simulated chargers, in this process and as separate processes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -11,8 +9,7 @@ import pytest
 
 from deltacharger_bringup.scenes.scene import parse_scene
 from deltacharger_core import runtime
-from deltacharger_sim.charger.faults import KINDS
-from deltacharger_sim.charger.simulated_charger import SimulatedCharger
+from deltacharger_sim.charger import faults, simulated_charger
 
 from ..sim.test_simulated_charger import answer
 from ..waiting import wait_until
@@ -32,8 +29,8 @@ def private(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def charger(tmp_path: Path) -> Iterator[SimulatedCharger]:
-    with SimulatedCharger(SIMULATED, tmp_path / "ports") as charger:
+def charger(tmp_path: Path) -> Iterator[simulated_charger.SimulatedCharger]:
+    with simulated_charger.SimulatedCharger(SIMULATED, tmp_path / "ports") as charger:
         yield charger
 
 
@@ -53,7 +50,7 @@ def answers(port: str, servo: int) -> None:
 
 
 def test_lasting_faults_are_listed_replaced_and_cleared(
-    charger: SimulatedCharger, fault: Command, capsys: pytest.CaptureFixture[str]
+    charger: simulated_charger.SimulatedCharger, fault: Command, capsys: pytest.CaptureFixture[str]
 ) -> None:
     fault("servo_missing")
     fault("board_drop", "--amount", "0.3", "--for-s", "0.1")
@@ -64,7 +61,7 @@ def test_lasting_faults_are_listed_replaced_and_cleared(
     code, listed, _ = command.run(capsys, "fault", "--list")
     assert code == 0
     assert "active: servo_missing of servo 2; board_drop (0.5)" in listed
-    assert all(kind in listed for kind in KINDS)
+    assert all(kind in listed for kind in faults.KINDS)
     assert silent(charger.servo_port, 2)
     answers(charger.servo_port, 1)
     assert fault("--clear") == (0, {"success": True, "active": []})
@@ -88,6 +85,6 @@ def test_an_invalid_fault_is_wrong_usage_with_the_allowed_values(
 
 def test_a_folder_of_another_user_is_not_used(tmp_path: Path, fault: Command) -> None:
     runtime.charger(0, "").parent.symlink_to(tmp_path)  # as another user might prepare it in a world-writable folder
-    with SimulatedCharger(SIMULATED, tmp_path / "ports"):
+    with simulated_charger.SimulatedCharger(SIMULATED, tmp_path / "ports"):
         assert fault("--clear")[0] == 1
         assert fault("servo_missing", "--directory", str(tmp_path / "ports"))[0] == 0

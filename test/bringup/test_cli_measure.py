@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`deltacharger calibrate kinematics --measure …` with an operator and a running charger of mocks."""
 
-from __future__ import annotations
-
 import json
 import math
 import signal

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`deltacharger calibrate tactile`: a rig's calibration, and its errors."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 from pathlib import Path
@@ -11,9 +9,8 @@ import numpy as np
 import pytest
 
 from deltacharger_sim.pads import Rig, generate_continuous
+from deltacharger_tactile import dataset, parameters
 from deltacharger_tactile.calibration.rig import TactileCalibration
-from deltacharger_tactile.dataset import Dataset
-from deltacharger_tactile.parameters import TactileParameters
 
 from .command import Capture, answer, refuses, run
 
@@ -22,18 +19,20 @@ CALIBRATE = ("calibrate", "tactile")
 
 
 @pytest.fixture(scope="module")
-def recorded() -> Dataset:
+def recorded() -> dataset.Dataset:
     return generate_continuous(rigs=(661,), count=40, seed=2, frames=6, threshold=0.25, **NEAR)
 
 
 @pytest.fixture
-def data(recorded: Dataset, tmp_path: Path) -> Path:
+def data(recorded: dataset.Dataset, tmp_path: Path) -> Path:
     recorded.save(tmp_path / "data.npz")
     return tmp_path / "data.npz"
 
 
 @pytest.mark.rest
-def test_the_calibration_is_printed_and_written(capsys: Capture, data: Path, recorded: Dataset, tmp_path: Path) -> None:
+def test_the_calibration_is_printed_and_written(
+    capsys: Capture, data: Path, recorded: dataset.Dataset, tmp_path: Path
+) -> None:
     out = tmp_path / "pads.yaml"
     out.write_text("mine", encoding="utf-8")
     refuses(capsys, f"calibrate tactile --data {data} --out {out}", "--force")
@@ -44,7 +43,7 @@ def test_the_calibration_is_printed_and_written(capsys: Capture, data: Path, rec
     assert np.array_equal(made.dead, recorded.dead[0])
     assert made.data == hashlib.sha256(data.read_bytes()).hexdigest()
     assert (made.rig, made.dockings, made.simulated) == (661, 40, True)
-    true = Rig.draw(TactileParameters(), 661).gain[~made.dead]
+    true = Rig.draw(parameters.TactileParameters(), 661).gain[~made.dead]
     assert np.corrcoef(made.gain[~made.dead], true)[0, 1] > 0.7
     code, found = answer(capsys, *CALIBRATE, "--data", data, "--out", out, "--force")
     assert (code, found["success"], found["written"], found["dockings"]) == (0, True, str(out), 40)

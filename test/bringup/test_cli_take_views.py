@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`deltacharger calibrate camera --take N` with a running charger of mocks and the simulated camera."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import signal
@@ -19,8 +17,7 @@ from rclpy.node import Node
 from rclpy.time import Time
 from sensor_msgs.msg import Image
 
-from deltacharger_bringup.cli.camera_views import ViewsFolder
-from deltacharger_bringup.cli.take_views import CameraClient, _visit
+from deltacharger_bringup.cli import camera_views, take_views
 from deltacharger_bringup.scenes.scene import parse_scene
 from deltacharger_core.ros import qos
 from deltacharger_core.ros.executor import Spinner
@@ -93,20 +90,20 @@ def test_a_begun_folder_is_completed_and_solved(
 
 
 def test_an_image_during_which_the_arm_moved_is_not_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    rig, folder = Rig(1), ViewsFolder(tmp_path / "views", OAK_D)
+    rig, folder = Rig(1), camera_views.ViewsFolder(tmp_path / "views", OAK_D)
     places, stands = zip(*itertools.islice(rig.stands(), 3), strict=True)
     arm, camera = mock.Mock(), mock.Mock()
     after = [tuple(angle + 0.02 * (number == 1) for angle in angles) for number, angles in enumerate(stands)]
     arm.angles.side_effect = [angles for pair in zip(stands, after, strict=True) for angles in pair]
     camera.image.side_effect = [rig.image(angles) for angles in stands]
-    _visit(arm, camera, rig.board, places, folder, 2)
+    take_views._visit(arm, camera, rig.board, places, folder, 2)
     assert len(folder.angles) == 2
     assert capsys.readouterr().err.count("moved while") == 1
     arm.go_home.assert_called_once()
 
 
 @pytest.fixture(scope="module")
-def camera(context: Any) -> Iterator[tuple[Callable[[], CameraClient], Callable[..., None]]]:
+def camera(context: Any) -> Iterator[tuple[Callable[[], take_views.CameraClient], Callable[..., None]]]:
     """Functions that return a client, and publish its camera's image (with a stamp, ns)."""
     namespace = new_namespace()
     node = Node("driver", **options(context, namespace))
@@ -117,7 +114,7 @@ def camera(context: Any) -> Iterator[tuple[Callable[[], CameraClient], Callable[
         images.publish(color_message(pixels, Time(nanoseconds=stamp).to_msg()))
 
     spinner = Spinner(node)
-    yield lambda: CameraClient(context, "color/image_raw", namespace), image
+    yield lambda: take_views.CameraClient(context, "color/image_raw", namespace), image
     spinner.close()
 
 

@@ -14,8 +14,7 @@ import yaml
 
 from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.mount import CAMERA_FRAME
-from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
-from deltacharger_vision.rendering.scene import RenderedScene
+from deltacharger_vision.rendering import camera, scene
 
 from .command import Capture, answer
 
@@ -38,7 +37,7 @@ def pose(away: float = 0.3, roll: float = 0.1, x: float = 0.01) -> Array:
 
 def view(seed: int, *where: float, target: bool = True) -> RgbdImage:
     random = np.random.default_rng(20_000 + seed)
-    return SimulatedCamera().render(RenderedScene(target=target), pose(*where), random)
+    return camera.SimulatedCamera().render(scene.RenderedScene(target=target), pose(*where), random)
 
 
 def millimetres(image: RgbdImage) -> Array:
@@ -60,11 +59,11 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
         write_image(folder / f"{name}.depth.png", millimetres(image))
         np.save(folder / f"{name}.npy", image.depth)
     info = {
-        "image_width": OAK_D.width,
-        "image_height": OAK_D.height,
-        "camera_matrix": {"rows": 3, "cols": 3, "data": OAK_D.matrix().ravel().tolist()},
+        "image_width": camera.OAK_D.width,
+        "image_height": camera.OAK_D.height,
+        "camera_matrix": {"rows": 3, "cols": 3, "data": camera.OAK_D.matrix().ravel().tolist()},
         "distortion_model": "plumb_bob",
-        "distortion_coefficients": {"data": list(OAK_D.distortion)},
+        "distortion_coefficients": {"data": list(camera.OAK_D.distortion)},
     }
     (folder / "k.yaml").write_text(yaml.safe_dump(info))
     return folder
@@ -143,7 +142,7 @@ def record(path: Path, *images: tuple[str, Array, int]) -> Path:
     from deltacharger_core.ros import qos
     from deltacharger_vision.ros.messages import camera_info_message
 
-    messages: list[tuple[str, Any, int]] = [("/color/camera_info", camera_info_message(OAK_D, Time()), 0)]
+    messages: list[tuple[str, Any, int]] = [("/color/camera_info", camera_info_message(camera.OAK_D, Time()), 0)]
     for topic, pixels, stamp in images:
         encoding, step = "rgb8" if pixels.ndim == 3 else "16UC1", pixels.nbytes // len(pixels)
         message = Image(height=len(pixels), width=pixels.shape[1], encoding=encoding, step=step)

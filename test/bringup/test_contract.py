@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The contract of the command: exit codes, one JSON object on stdout, everything else on stderr, nothing half done."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import errno
@@ -13,9 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from deltacharger_bringup.cli import scene
-from deltacharger_bringup.cli.arguments import between, integer
-from deltacharger_bringup.cli.main import COMMANDS
+from deltacharger_bringup.cli import arguments, main, scene
 from deltacharger_bringup.launch_arguments import CHARGER, VIEW, Options, given, in_launch, refuse_unknown_arguments
 from deltacharger_bringup.scenes import executables
 from deltacharger_core import streams
@@ -97,7 +93,7 @@ def test_scene_lists_and_explains(capsys: Capture) -> None:
 
 def test_help_lists_every_command_and_version_is_one_line(capsys: Capture) -> None:
     code, out, _ = run(capsys, "--help")
-    assert (code, {each.split()[0] for each in COMMANDS} <= set(out.split())) == (0, True)
+    assert (code, {each.split()[0] for each in main.COMMANDS} <= set(out.split())) == (0, True)
     code, out, _ = run(capsys, "--version")
     assert (code, out.split()[0], out.count("\n")) == (0, "deltacharger", 1)
     code, out, err = run(capsys)
@@ -145,7 +141,7 @@ def test_a_full_disk_is_a_failed_job_and_an_unusable_path_is_wrong_input(
 
 @pytest.mark.parametrize("text", ["nan", "inf", "1e999", "9" * 5000, "", "1,5", "0x10", "2 3"])
 def test_options_accept_only_finite_numbers(text: str) -> None:
-    for kind in (between(-1.0, 1.0), integer(0, 9)):
+    for kind in (arguments.between(-1.0, 1.0), arguments.integer(0, 9)):
         with pytest.raises(argparse.ArgumentTypeError):
             kind(text)
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """docs/fleet.md matches the code: the levels of codes, its command lines, and its example client."""
 
-from __future__ import annotations
-
 import json
 import re
 import signal

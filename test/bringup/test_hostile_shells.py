@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Commands in every kind of shell, as processes: a line with the problem and the right exit code, never a traceback."""
 
-from __future__ import annotations
-
 import json
 import os
 import shlex

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`deltacharger up` and `deltacharger dock` as separate processes: signals and exit codes."""
 
-from __future__ import annotations
-
 import json
 import signal
 from collections.abc import Callable

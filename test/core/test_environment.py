@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Network reach of a process's nodes, its description, and the middleware's profile."""
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ages of stamps although the computer's clock is set; what docking makes of them is tested in test_inputs."""
 
-from __future__ import annotations
-
 from itertools import count
 
 import pytest

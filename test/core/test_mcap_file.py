@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """One reader for every recording: with or without index and chunks, complete, truncated or damaged."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any

@@ -1,37 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """A declared parameter refuses invalid values by name, from any source."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
 
-from deltacharger_core.parameters import (
-    Bounded,
-    ParameterError,
-    choice,
-    declared,
-    entries,
-    flag,
-    from_mapping,
-    like,
-    number,
-    numbers,
-    words,
-)
+from deltacharger_core import parameters
+from deltacharger_core.parameters import choice, entries, flag, number, numbers, words
 
 
 @dataclass(frozen=True)
-class Spring(Bounded):
+class Spring(parameters.Bounded):
     stiffness: float = number(15.0, 2.5, 20.0, "N·m/rad", "of the joint")
     turns: int = number(3, 1, 9, "", "of its wire")
 
 
 @dataclass(frozen=True)
-class Arm(Bounded):
+class Arm(parameters.Bounded):
     spring: Spring = field(default_factory=Spring)
     springs: tuple[Spring, ...] = entries("further ones")
     name: str = words("left", "on the label")
@@ -40,7 +27,7 @@ class Arm(Bounded):
     mode: str = choice("soft", ("soft", "stiff"), "how it yields")
     corner: tuple[float, ...] = numbers((0.0, 1.0), -2.0, 2.0, "m", "of its box")
     limit: float | None = number(None, 0.0, 1.0, "A", "{unit} at most; none = whatever comes")
-    share: float = like(Spring, "stiffness", high=18.0)
+    share: float = parameters.like(Spring, "stiffness", high=18.0)
 
 
 WRONG: list[tuple[dict[str, Any], str, str]] = [
@@ -61,21 +48,23 @@ WRONG: list[tuple[dict[str, Any], str, str]] = [
 
 @pytest.mark.parametrize(("content", "key", "problem"), WRONG, ids=str)
 def test_a_refusal_names_the_key_and_the_allowed_values(content: dict[str, Any], key: str, problem: str) -> None:
-    with pytest.raises(ParameterError) as refusal:
-        from_mapping(content, Arm, "arm")
+    with pytest.raises(parameters.ParameterError) as refusal:
+        parameters.from_mapping(content, Arm, "arm")
     assert refusal.value.key == key
     assert problem in refusal.value.problem
 
 
 def test_a_mapping_sets_its_keys_and_leaves_other_defaults() -> None:
-    arm = from_mapping({"spring": {"stiffness": 5}, "springs": [{"turns": 2}], "corner": [0, 1], "limit": None}, Arm)
+    arm = parameters.from_mapping(
+        {"spring": {"stiffness": 5}, "springs": [{"turns": 2}], "corner": [0, 1], "limit": None}, Arm
+    )
     assert arm == Arm(spring=Spring(5.0), springs=(Spring(turns=2),), corner=(0.0, 1.0))
     assert isinstance(arm.spring.stiffness, float)
-    assert from_mapping({}, Arm) == Arm()
+    assert parameters.from_mapping({}, Arm) == Arm()
 
 
 def test_declarations_provide_name_bounds_default_and_text() -> None:
-    known = {each.name: each for each in declared(Arm, "arm")}
+    known = {each.name: each for each in parameters.declared(Arm, "arm")}
     assert list(known)[:3] == ["arm.spring.stiffness", "arm.spring.turns", "arm.springs"]
     stiffness = known["arm.spring.stiffness"]
     assert (stiffness.default, stiffness.low, stiffness.high, stiffness.kind) == (15.0, 2.5, 20.0, float)

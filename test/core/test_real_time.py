@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A process with deadlines has real-time priority in all its threads, or says what to permit."""
 
-from __future__ import annotations
-
 import errno
 import importlib
 import os

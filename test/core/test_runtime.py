@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """One charger a computer by a lock that only a living holder has, and the time limit for a process's end."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

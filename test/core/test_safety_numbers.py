@@ -5,8 +5,6 @@ No number here is imported, so none can change with the product. Whoever changes
 test/mutants.yaml and its reason together. Everything is pure or in virtual time.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Callable, Iterator, Sequence
@@ -19,44 +17,38 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from deltacharger_core import real_time
+from deltacharger_core import parameters, real_time, servo_types
 from deltacharger_core.machine import ChargeLimits
-from deltacharger_core.parameters import ParameterError
 from deltacharger_core.script import NEXT
-from deltacharger_core.servo_types import MX_64, XM430_W350, MeasuredServos, ServoType
 from deltacharger_docking import (
     algorithm,
     charging,
+    clearance,
     codes,
     contact,
     context,
     energy,
     goals,
     machine,
+    observation,
     place,
     release,
     touch,
     watch,
 )
-from deltacharger_docking.clearance import MisalignmentEstimate, Verdict, clearance_stddev, judge
-from deltacharger_docking.codes import Code, State
 from deltacharger_docking.mission.machine import MissionMachine
 from deltacharger_docking.mission.parameters import MissionParameters
 from deltacharger_docking.mission.places import BaseMount, Place
-from deltacharger_docking.observation import DockGoal, ElectrodePose, Observation, Reply
 from deltacharger_docking.parameters import DockingParameters, TargetProfile
 from deltacharger_driver.board import contactor, protocol
 from deltacharger_driver.errors import DriverError
 from deltacharger_driver.parameters import ServoNodeParameters
 from deltacharger_driver.servos import controller, motion, registers
-from deltacharger_kinematics.geometry import DeltaGeometry
-from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_kinematics.swing import Swung, surely_swings
+from deltacharger_kinematics import geometry, scalar, swing
 from deltacharger_sim.emulators.power import EmulatedPower, PowerStage, StageParameters, StageReading
 from deltacharger_tactile import estimator, perception
+from deltacharger_vision import errors, mount
 from deltacharger_vision.detector.judgement import supported
-from deltacharger_vision.errors import VisionError
-from deltacharger_vision.mount import Mount
 
 NAN, INF, DEGREE, MM = math.nan, math.inf, math.radians(1.0), 1e-3
 DOCK = (0.0, 0.0, 0.08)
@@ -86,7 +78,7 @@ def passes(call: Callable[..., Any], *values: Any) -> bool:
     """Return whether none of the product's refusals is raised."""
     try:
         call(*values)
-    except (codes.DockingError, DriverError, VisionError, perception.Refused, ParameterError):
+    except (codes.DockingError, DriverError, errors.VisionError, perception.Refused, parameters.ParameterError):
         return False
     return True
 
@@ -94,18 +86,18 @@ def passes(call: Callable[..., Any], *values: Any) -> bool:
 # Clearance of an estimate.
 
 
-def estimate(**changes: Any) -> MisalignmentEstimate:
+def estimate(**changes: Any) -> clearance.MisalignmentEstimate:
     poses = dict.fromkeys(("angle", "vertical", "horizontal", "across"), 0.0)
     stddevs = dict.fromkeys(("angle_stddev", "vertical_stddev", "horizontal_stddev", "across_stddev"), 1e-9)
-    return MisalignmentEstimate(**poses | stddevs | changes)
+    return clearance.MisalignmentEstimate(**poses | stddevs | changes)
 
 
 def clears(limit: float | None = None, **changes: Any) -> bool:
-    return judge(estimate(**changes), PARAMETERS, limit).leaves_clearance
+    return clearance.judge(estimate(**changes), PARAMETERS, limit).leaves_clearance
 
 
 def sure(**changes: Any) -> bool:
-    return judge(estimate(**changes), PARAMETERS) is Verdict.SAFE
+    return clearance.judge(estimate(**changes), PARAMETERS) is clearance.Verdict.SAFE
 
 
 def usable(**changes: Any) -> bool:
@@ -133,7 +125,7 @@ CLEARANCE = (
 
 
 def test_the_error_of_the_clearance_has_both_terms_of_the_bars() -> None:
-    found = clearance_stddev(estimate(angle=0.2, angle_stddev=0.01, across_stddev=3e-4), 0.0037, 0.035)
+    found = clearance.clearance_stddev(estimate(angle=0.2, angle_stddev=0.01, across_stddev=3e-4), 0.0037, 0.035)
     assert found == pytest.approx(math.hypot((0.0037 * math.sin(0.2) + 0.035 * math.cos(0.2)) * 0.01, 3e-4), rel=1e-12)
 
 
@@ -141,9 +133,9 @@ def test_the_error_of_the_clearance_has_both_terms_of_the_bars() -> None:
 
 
 @cache
-def pressing(current: float = 0.45, z: float = 0.08) -> Observation:
+def pressing(current: float = 0.45, z: float = 0.08) -> observation.Observation:
     """Return a healthy docked arm that presses with this contact current (A)."""
-    delta = ScalarDelta(DeltaGeometry())
+    delta = scalar.ScalarDelta(geometry.DeltaGeometry())
     held, jacobian = delta.holding_torque(0.0, 0.0, z, PARAMETERS.gravity), delta.jacobian(0.0, 0.0, z)
     force = 3.0 * PARAMETERS.torque_constant * current / sum(jacobian[6:])
     pushed = delta.torque(0.0, 0.0, z, (0.0, 0.0, force))
@@ -151,11 +143,11 @@ def pressing(current: float = 0.45, z: float = 0.08) -> Observation:
     fresh = dict.fromkeys(("servo_age", "tactile_age", "power_age"), 0.0)
     known = {"servos_valid": True, "torque_enabled": True, "tactile_contact": True, "tared": True}
     volts = {"charge_current": 0.0, "least_current": 0.0, "target_voltage": 24.0, "battery_voltage": 26.0}
-    return Observation(0.0, delta.inverse(0.0, 0.0, z), currents, **fresh, **known, **volts)
+    return observation.Observation(0.0, delta.inverse(0.0, 0.0, z), currents, **fresh, **known, **volts)
 
 
 def scene(profile: str = "seven", **changes: Any) -> context.Context:
-    shared = context.Context(PARAMETERS, DeltaGeometry(), profiles=PROFILES)
+    shared = context.Context(PARAMETERS, geometry.DeltaGeometry(), profiles=PROFILES)
     shared.choose_profile(profile)
     shared.observe(replace(pressing(), **changes))
     return shared
@@ -165,14 +157,14 @@ def may_close(**changes: Any) -> bool:
     return watch.reason_not_to_close(scene(**changes)) is None
 
 
-def stays_closed(seen: Observation | None = None, **changes: Any) -> bool:
+def stays_closed(seen: observation.Observation | None = None, **changes: Any) -> bool:
     live = {"contactor_closed": True, "charge_current": 5.0}
     return watched(scene(**live), replace(seen or pressing(), **{"time": 0.2} | live | changes))
 
 
-def watched(shared: context.Context, seen: Observation) -> bool:
+def watched(shared: context.Context, seen: observation.Observation) -> bool:
     """Return whether live electrodes stay where they were measured in pressing()."""
-    shared.enter(State.CHARGING, INF)
+    shared.enter(codes.State.CHARGING, INF)
     shared.closing = context.Live(0.0)
     shared.evidence.keep(shared.position, 0.003)
     watches = watch.Watches(shared)
@@ -182,7 +174,7 @@ def watched(shared: context.Context, seen: Observation) -> bool:
 
 
 def touches_live(**changes: Any) -> bool:
-    shared = context.Context(replace(PARAMETERS, power="none"), DeltaGeometry())
+    shared = context.Context(replace(PARAMETERS, power="none"), geometry.DeltaGeometry())
     shared.observe(pressing())
     return watched(shared, replace(pressing(), **changes))
 
@@ -190,7 +182,7 @@ def touches_live(**changes: Any) -> bool:
 def keeps_port(volts: float, samples: int = 2) -> bool:
     """Return whether docking goes on if a live port of 24 V in contact shows another voltage."""
     shared = scene()
-    shared.enter(State.MEASURE, INF)
+    shared.enter(codes.State.MEASURE, INF)
     watches = watch.Watches(shared)
     found = [watches.problem()]
     for number in range(samples):
@@ -199,7 +191,12 @@ def keeps_port(volts: float, samples: int = 2) -> bool:
     return not any(found)
 
 
-def continues(state: State = State.MEASURE, seen: Observation | None = None, lead: float = 0.0, **changes: Any) -> bool:
+def continues(
+    state: codes.State = codes.State.MEASURE,
+    seen: observation.Observation | None = None,
+    lead: float = 0.0,
+    **changes: Any,
+) -> bool:
     """Return whether a script goes on in this state, whose command leads the arm by so much (m) more than explained."""
 
     def script(shared: context.Context) -> Iterator[Any]:
@@ -214,7 +211,7 @@ def continues(state: State = State.MEASURE, seen: Observation | None = None, lea
     docking.step(pressing())
     for time in (0.14, 0.2):  # what pushes too hard is read more than once
         docking.step(replace(seen or pressing(), **{"time": time} | changes))
-    return docking.status.code is Code.NONE
+    return docking.status.code is codes.Code.NONE
 
 
 def parts(retreat: float, touches: bool = False) -> bool:
@@ -226,7 +223,7 @@ def parts(retreat: float, touches: bool = False) -> bool:
     return next(pull, None) is None
 
 
-def moves_on(state: State = State.CONTACT, **changes: Any) -> bool:
+def moves_on(state: codes.State = codes.State.CONTACT, **changes: Any) -> bool:
     shared = scene(**changes)
     shared.enter(state, INF)
     return not shared.is_blind
@@ -279,9 +276,15 @@ OBSERVATION = (
     *fields(continues, 0, (1, 0x20, 0xFF), "hardware_error"),
     *fields(continues, True, (False,), "torque_enabled"),
     Limit("hard contact, A", lambda v: continues(seen=pressing(v)), 0.99, 1.01, ()),
-    Limit("lead, mm", lambda v: continues(State.CONTACT, lead=v * MM), 2.9, 3.1, ()),
+    Limit("lead, mm", lambda v: continues(codes.State.CONTACT, lead=v * MM), 2.9, 3.1, ()),
     Limit("retreat that parts, mm", lambda v: parts(v * MM), 4.1, 3.9, ()),
-    Limit("damping, N·m·s/rad", lambda v: not surely_swings(Swung(15.0, v, 0.0, 0.0)), 0.151, 0.149, (0.0, -0.1)),
+    Limit(
+        "damping, N·m·s/rad",
+        lambda v: not swing.surely_swings(swing.Swung(15.0, v, 0.0, 0.0)),
+        0.151,
+        0.149,
+        (0.0, -0.1),
+    ),
     Limit("pads when parting", lambda v: parts(0.005, v), False, True, ()),
     *fields(moves_on, 0.09, (0.11, INF, NAN), "servo_age", "tactile_age"),
 )
@@ -303,7 +306,7 @@ def answered(script: Any, shared: context.Context, **reply: Any) -> Any:
     """Answer the script's request with this reply; return what the script returns, None if it goes on."""
     next(script)
     number = shared.command().requests[-1].number
-    shared.observe(replace(pressing(), time=shared.time + 0.01, replies=(Reply(number, True, **reply),)))
+    shared.observe(replace(pressing(), time=shared.time + 0.01, replies=(observation.Reply(number, True, **reply),)))
     try:
         next(script)
     except StopIteration as end:
@@ -331,29 +334,29 @@ def opens(age: float, seconds: float = 0.5, **changes: Any) -> bool:
 
 def locates(age: float) -> bool:
     shared = scene()
-    found = ElectrodePose(DOCK, 0.0, age=age)
+    found = observation.ElectrodePose(DOCK, 0.0, age=age)
     return passes(lambda: answered(algorithm.locate(shared), shared, detection=found))
 
 
 def rolls(roll: float, sigma: float = 0.0) -> bool:
-    seen = ElectrodePose(DOCK, roll * DEGREE, sigma * DEGREE)
+    seen = observation.ElectrodePose(DOCK, roll * DEGREE, sigma * DEGREE)
     return passes(algorithm.check_roll, scene(), seen, 12.0 * DEGREE)
 
 
 def leans(sigma: float = 0.0, **lean: float) -> bool:
     sizes = {name: value * DEGREE for name, value in lean.items()}
     sigmas = {f"{name}_stddev": sigma * DEGREE for name in lean}
-    return passes(algorithm.check_lean, scene(), ElectrodePose(DOCK, 0.0, **sizes, **sigmas))
+    return passes(algorithm.check_lean, scene(), observation.ElectrodePose(DOCK, 0.0, **sizes, **sigmas))
 
 
 def serves(**goal: Any) -> bool:
-    return passes(goals.check_goal, DockGoal(None, **goal), scene().planner, PARAMETERS, PROFILES)
+    return passes(goals.check_goal, observation.DockGoal(None, **goal), scene().planner, PARAMETERS, PROFILES)
 
 
-def charges_on(*estimates: MisalignmentEstimate | None) -> bool:
+def charges_on(*estimates: clearance.MisalignmentEstimate | None) -> bool:
     """Return whether charging goes on after these clearance checks."""
     shared = scene()
-    order = charging.Order(DockGoal(None), 12.0 * DEGREE, 0.0)
+    order = charging.Order(observation.DockGoal(None), 12.0 * DEGREE, 0.0)
     checks = charging.clearance_checks(shared, order, touch.Target(shared, 12.0 * DEGREE))
 
     def check() -> None:
@@ -548,10 +551,10 @@ def follows(time: float = 1.0, angle: float = 0.0, torque: float = 1.0, points: 
 
 def measures(torque: int = 1, current: int = 0, voltage: int = 120, temperature: int = 40, watchdog: int = 6) -> bool:
     block = struct.pack("<BBhiiHBBBB", torque, 0, current, 0, 2048, voltage, temperature, watchdog, 2, 0)
-    return passes(registers.decode_block, block, MX_64)
+    return passes(registers.decode_block, block, servo_types.MX_64)
 
 
-def heated(temperature: float, current: float = 3.0, servo: ServoType = MX_64) -> float:
+def heated(temperature: float, current: float = 3.0, servo: servo_types.ServoType = servo_types.MX_64) -> float:
     """Return the reserve (s) of a servo that starts at this temperature (°C) with this current (A)."""
     model = controller.ThermalModel(servo)
     model.start_at(temperature)
@@ -580,11 +583,11 @@ SERVOS = (
     Limit(
         "goal, turns", lambda v: passes(registers.angle_to_ticks, v * math.tau, 0, 1), 255.9, 256.1, (NAN, INF, -INF)
     ),
-    Limit("bound, A", lambda v: passes(registers.current_to_counts, v, MX_64), 6.5, 6.6, (NAN, INF)),
+    Limit("bound, A", lambda v: passes(registers.current_to_counts, v, servo_types.MX_64), 6.5, 6.6, (NAN, INF)),
     Limit("time at 3 A, s", lambda v: heated(25.0) > v, 119.9, 120.1),
     Limit("time at 3 A from below 25 °C, s", lambda v: heated(-10.0) > v, 119.9, 120.1),
     Limit("hottest, °C", lambda v: heated(v) > 0.0, 79.9, 80.1, (INF,)),
-    Limit("XM430: time at 1.8 A, s", lambda v: heated(25.0, 1.8, XM430_W350) > v, 119.9, 120.1),
+    Limit("XM430: time at 1.8 A, s", lambda v: heated(25.0, 1.8, servo_types.XM430_W350) > v, 119.9, 120.1),
     Limit("current for ever, A", lambda v: heated(25.0, v) == INF, 0.51, 0.52),
 )
 
@@ -599,7 +602,7 @@ def shows(long: float, end: float, other_long: float, other_end: float, scatter:
 
 
 def mounts(x: float = 0.0, w: float = 1.0) -> bool:
-    return passes(Mount.from_numbers, (x, 0.12, -0.12, 0.0, 0.0, 0.0, w))
+    return passes(mount.Mount.from_numbers, (x, 0.12, -0.12, 0.0, 0.0, 0.0, w))
 
 
 CAMERA = (
@@ -627,8 +630,8 @@ SETTINGS = (
     settable(DockingParameters, "live_servo_age_max", 0.5, 0.51),
     settable(DockingParameters, "age_max", 2.0, 2.1),
     settable(ServoNodeParameters, "current_max", 4.1, 4.2),
-    settable(MeasuredServos, "stiffness", 0.5, 0.4),
-    settable(MeasuredServos, "torque_constant", 0.1, 0.09),
+    settable(servo_types.MeasuredServos, "stiffness", 0.5, 0.4),
+    settable(servo_types.MeasuredServos, "torque_constant", 0.1, 0.09),
 )
 
 
@@ -652,7 +655,7 @@ def test_a_goal_moves_from_the_start_of_its_trajectory() -> None:
 def test_a_target_of_unknown_pitch_has_a_known_place() -> None:
     mission = MissionMachine(MissionParameters(), BaseMount((0.0, 0.0, 0.0, 0.5, 0.5, 0.5, 0.5)), None)
     mission.status.place = Place(0.0, 0.0, 0.0)
-    seen = ElectrodePose(DOCK, 0.0, yaw=0.1, yaw_stddev=0.01)
+    seen = observation.ElectrodePose(DOCK, 0.0, yaw=0.1, yaw_stddev=0.01)
     assert mission._placed(seen, Place(1.0, 0.0, 0.0)) == Place(0.08, 0.0, pytest.approx(0.1 - math.pi))
 
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The runtime of scripts of docking and mission: a script is closed on every way out, the first reply counts."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from deltacharger_core.script import NEXT, Calls, Runner, Script

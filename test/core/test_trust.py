@@ -5,8 +5,6 @@ Each known attack replaces a file of the one reader of its kind. It is refused w
 the memory that it claims.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import pickle
@@ -20,10 +18,7 @@ from typing import Any
 
 import pytest
 
-from deltacharger_core.arrays import LARGEST_MODEL, read_npz
-from deltacharger_core.files import parse_json, read_text
-from deltacharger_core.mcap_file import McapFile
-from deltacharger_core.yaml_file import read_yaml
+from deltacharger_core import arrays, files, mcap_file, yaml_file
 from deltacharger_kinematics.calibration.data import read_measurements
 
 MEGABYTE = 2**20
@@ -127,7 +122,7 @@ def recordings() -> dict[str, bytes]:
 
 
 def read_recording(path: Path) -> None:
-    file = McapFile(path)
+    file = mcap_file.McapFile(path)
     assert not list(file.messages())
     if file.damage:
         raise ValueError(f"{path}: {file.damage}")
@@ -160,10 +155,10 @@ def named(read: Callable[[Path], object]) -> Callable[[Path], None]:
 
 
 KINDS: dict[str, tuple[str, Callable[[Path], Any], Callable[[], dict[str, bytes]]]] = {
-    "yaml": ("a.yaml", read_yaml, lambda: YAML),
-    "json": ("a.json", named(lambda path: parse_json(read_text(path))), lambda: JSON),
+    "yaml": ("a.yaml", yaml_file.read_yaml, lambda: YAML),
+    "json": ("a.json", named(lambda path: files.parse_json(files.read_text(path))), lambda: JSON),
     "csv": ("a.csv", named(read_measurements), lambda: CSV),
-    "npz": ("a.npz", named(lambda path: read_npz(path, "meta", LARGEST_MODEL)), archives),
+    "npz": ("a.npz", named(lambda path: arrays.read_npz(path, "meta", arrays.LARGEST_MODEL)), archives),
     "npy": ("a.npy", read_depth, lambda: ARRAYS),
     "picture": ("a.png", read_picture, pictures),
     "mcap": ("a.mcap", read_recording, recordings),

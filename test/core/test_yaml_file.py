@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """All hand-written files follow the same rules: a repeated key is refused by file and line, 1e-3 is a number."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -13,10 +11,13 @@ import pytest
 from deltacharger_bringup.scenes.scene import load_scene
 from deltacharger_core.yaml_file import YamlError, read_yaml, write_yaml
 from deltacharger_kinematics.geometry import load_geometry
-from deltacharger_vision.image_files import load_camera_info
-from deltacharger_vision.terminal import Terminal
+from deltacharger_vision import image_files, terminal
 
-READERS: dict[str, Callable[[Path], Any]] = {"geometry": load_geometry, "scene": load_scene, "camera": load_camera_info}
+READERS: dict[str, Callable[[Path], Any]] = {
+    "geometry": load_geometry,
+    "scene": load_scene,
+    "camera": image_files.load_camera_info,
+}
 
 
 @pytest.mark.parametrize("reader", READERS)
@@ -38,7 +39,7 @@ def test_every_reader_refuses_with_file_and_line(tmp_path: Path, reader: str) ->
 def test_numbers_as_people_write_them_in_one_document(tmp_path: Path) -> None:
     path = tmp_path / "bars.yaml"
     path.write_text("{gap: 7e-3, bar_height: 1E-2}", encoding="utf-8")
-    assert (Terminal.load(path).gap, Terminal.load(path).bar_height) == (0.007, 0.01)
+    assert (terminal.Terminal.load(path).gap, terminal.Terminal.load(path).bar_height) == (0.007, 0.01)
     path.write_text("[1e5, -1e-3, +2.5e+1, 1_0e2, 1e, e5, '1e5']\n---\na: 2\n", encoding="utf-8")
     assert read_yaml(path, first=True) == [1e5, -1e-3, 25.0, 1000.0, "1e", "e5", "1e5"]
     with pytest.raises(YamlError, match="several documents"):

@@ -1,17 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Chargers in virtual time for tests of the docking machine."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
-from deltacharger_docking.clearance import MisalignmentEstimate
-from deltacharger_docking.codes import Code, State
-from deltacharger_docking.observation import Command, Decision, DockGoal, Reply, Service
+from deltacharger_docking import clearance, codes, observation
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_sim.pads import ContactSource
 from deltacharger_sim.parameters import TargetParameters, WorldParameters
@@ -52,15 +48,15 @@ def quick_charger(*place: float, parameters: Mapping[str, Any] = MappingProxyTyp
 def docked(*place: float, start_charging: bool = True, **kwargs: Any) -> VirtualCharger:
     """A quick charger that has docked."""
     run = quick_charger(*place, **kwargs)
-    outcome = run.dock(DockGoal(GOAL, start_charging=start_charging))
+    outcome = run.dock(observation.DockGoal(GOAL, start_charging=start_charging))
     assert outcome.success, outcome.message
     assert run.world.snapshot().contactor_closed is (start_charging and not run.parameters.always_live)
     return run
 
 
-def reach(run: VirtualCharger, state: State, goal: DockGoal | None = None) -> None:
+def reach(run: VirtualCharger, state: codes.State, goal: observation.DockGoal | None = None) -> None:
     """Begin a goal and step until this state."""
-    run.begin(goal or DockGoal(GOAL))
+    run.begin(goal or observation.DockGoal(GOAL))
     run.until(lambda: run.machine.status.state is state, 120.0)
 
 
@@ -73,12 +69,12 @@ def feel(run: VirtualCharger, times: int = 10**9, **values: Any) -> None:
     """Replace these values of the next estimates."""
     left = [times]
 
-    def change(reply: Reply) -> Reply:
+    def change(reply: observation.Reply) -> observation.Reply:
         assert reply.estimate is not None
         left[0] -= 1
         return replace(reply, estimate=felt_as(reply.estimate, **values)) if left[0] >= 0 else reply
 
-    run.answer[Service.ESTIMATE] = change
+    run.answer[observation.Service.ESTIMATE] = change
 
 
 def until_open(run: VirtualCharger, limit: float = 30.0) -> float:
@@ -88,20 +84,20 @@ def until_open(run: VirtualCharger, limit: float = 30.0) -> float:
     return float(run.now - start)
 
 
-def ends(run: VirtualCharger, code: Code, within: float = 15.0) -> None:
+def ends(run: VirtualCharger, code: codes.Code, within: float = 15.0) -> None:
     """Step until docking reports this code, and then until the arm is back or stopped, with its observations mended."""
-    run.until(lambda: run.machine.status.code is not Code.NONE, within)
+    run.until(lambda: run.machine.status.code is not codes.Code.NONE, within)
     spoil(run)
-    run.until(lambda: run.machine.status.state is State.IDLE, 40.0)
+    run.until(lambda: run.machine.status.state is codes.State.IDLE, 40.0)
     assert run.machine.status.code is code, run.machine.status.message
 
 
-def commands(run: VirtualCharger) -> list[Command]:
+def commands(run: VirtualCharger) -> list[observation.Command]:
     """Collect the machine's commands from now on."""
-    found: list[Command] = []
+    found: list[observation.Command] = []
     follow = run._follow
 
-    def keep(command: Command) -> None:
+    def keep(command: observation.Command) -> None:
         found.append(command)
         follow(command)
 
@@ -109,12 +105,12 @@ def commands(run: VirtualCharger) -> list[Command]:
     return found
 
 
-def decisions(found: list[Command], kind: str = "") -> list[Decision]:
+def decisions(found: list[observation.Command], kind: str = "") -> list[observation.Decision]:
     """Return the decisions of collected commands, of one kind or of all."""
     return [each for command in found for each in command.decisions if kind in ("", each.kind)]
 
 
-def felt_as(felt: MisalignmentEstimate, **values: Any) -> MisalignmentEstimate:
+def felt_as(felt: clearance.MisalignmentEstimate, **values: Any) -> clearance.MisalignmentEstimate:
     """The same estimate with other values; the offset across the bars follows the pose, its error stays."""
     other = replace(felt, **values)
     across = other.vertical * math.cos(other.angle) - other.horizontal * math.sin(other.angle)
@@ -132,7 +128,7 @@ def assert_safe_at_home(run: VirtualCharger) -> None:
     held = 0.12 * servo.friction / servo.stiffness  # m from home, where its gears hold an arm with levers of 0.12 m
     assert math.dist(truth.position, run.parameters.home) < max(3 * MILLIMETRE, held)
     assert not run.observe().torque_enabled
-    assert run.machine.status.state is State.IDLE
+    assert run.machine.status.state is codes.State.IDLE
 
 
 def moves(run: VirtualCharger, seconds: float) -> bool:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Electrodes wired to the battery (power: none): live at every touch, measured early, never reported as charging."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -10,8 +8,7 @@ from typing import Any
 
 import pytest
 
-from deltacharger_docking.codes import Code, Rejected, State
-from deltacharger_docking.observation import DockGoal, Service
+from deltacharger_docking import codes, observation
 from deltacharger_sim.parameters import CircuitParameters
 from deltacharger_sim.virtual.virtual_charger import GOAL, VirtualCharger
 
@@ -58,8 +55,10 @@ def test_it_docks_and_aligns_and_reports_only_known_values() -> None:
     assert math.isnan(outcome.charge_current)
     assert math.isnan(outcome.energy)
     assert "power: none" in outcome.notice
-    assert (status.docked, status.charging, status.state) == (True, False, State.IDLE)
-    assert not {Service.PROBE, Service.OPEN} & {request.service for command in sent for request in command.requests}
+    assert (status.docked, status.charging, status.state) == (True, False, codes.State.IDLE)
+    assert not {observation.Service.PROBE, observation.Service.OPEN} & {
+        request.service for command in sent for request in command.requests
+    }
     spoil(run, power_age=math.inf)
     run.run(6.0)
     assert status.docked, "watched over, nothing is wrong, also without charger_power, which measures nothing"
@@ -70,7 +69,7 @@ def test_it_docks_and_aligns_and_reports_only_known_values() -> None:
     assert run.undock().success
     assert_home(run)
     assert not any(command.energise for command in sent)
-    assert State.CHARGING not in run.states
+    assert codes.State.CHARGING not in run.states
     record = run.world.record
     assert record.energised_shorts == 0
     assert record.parted_live == record.contacts
@@ -81,23 +80,25 @@ def test_it_docks_and_aligns_and_reports_only_known_values() -> None:
 def test_a_tilt_measured_at_first_touch_is_not_pressed() -> None:
     run = wired(0.0, 0.0, 13.0)
     sent = commands(run)
-    run.begin(DockGoal(GOAL))
+    run.begin(observation.DockGoal(GOAL))
     while run.outcome is None:
         run.tick()
-        assert run.machine.status.contact_current < PRESSED or run.machine.status.state is State.RETRACT
-    assert run.outcome.code is Code.CRITICAL_ANGLE
+        assert run.machine.status.contact_current < PRESSED or run.machine.status.state is codes.State.RETRACT
+    assert run.outcome.code is codes.Code.CRITICAL_ANGLE
     assert math.isnan(run.outcome.energy)
     assert run.world.record.contacts == 1
     assert not decisions(sent, "contact")
     assert_home(run)
 
 
-@pytest.mark.parametrize("goal", [DockGoal(GOAL, start_charging=False), DockGoal(GOAL, stop_energy=100.0)])
+@pytest.mark.parametrize(
+    "goal", [observation.DockGoal(GOAL, start_charging=False), observation.DockGoal(GOAL, stop_energy=100.0)]
+)
 @pytest.mark.parametrize("docked", [False, True])
-def test_goals_that_need_a_contactor_are_refused(goal: DockGoal, docked: bool) -> None:
+def test_goals_that_need_a_contactor_are_refused(goal: observation.DockGoal, docked: bool) -> None:
     run = wired_docked() if docked else wired()
     before = run.world.snapshot().position
-    with pytest.raises(Rejected, match="power: none"):
+    with pytest.raises(codes.Rejected, match="power: none"):
         run.begin(goal)
     run.run(0.5)
     assert math.dist(run.world.snapshot().position, before) < 1e-4
@@ -107,11 +108,13 @@ def test_goals_that_need_a_contactor_are_refused(goal: DockGoal, docked: bool) -
 @pytest.mark.parametrize(
     ("wrong", "code", "within"),
     [
-        ({"servo_age": 0.3}, Code.SERVO_STALE, 0.1),
-        ({"currents": (0.0, 0.0, 0.0)}, Code.NO_CONTACT, 0.3),
+        ({"servo_age": 0.3}, codes.Code.SERVO_STALE, 0.1),
+        ({"currents": (0.0, 0.0, 0.0)}, codes.Code.NO_CONTACT, 0.3),
     ],
 )
-def test_a_docked_charger_is_supervised_as_while_charging(wrong: dict[str, Any], code: Code, within: float) -> None:
+def test_a_docked_charger_is_supervised_as_while_charging(
+    wrong: dict[str, Any], code: codes.Code, within: float
+) -> None:
     run = wired_docked()
     spoil(run, **wrong)
     ends(run, code, within)
@@ -120,18 +123,18 @@ def test_a_docked_charger_is_supervised_as_while_charging(wrong: dict[str, Any],
 @pytest.mark.parametrize("hold", [False, True])
 def test_a_stop_condition_undocks_since_nothing_else_ends_the_current(hold: bool) -> None:
     run = wired(coarse=True)
-    outcome = run.dock(DockGoal(GOAL, hold=hold, stop_after=3.0))
+    outcome = run.dock(observation.DockGoal(GOAL, hold=hold, stop_after=3.0))
     assert outcome.success
     assert ("taken off" in outcome.notice) == hold
     assert run.machine.status.docked != hold
-    run.until(lambda: not run.machine.status.docked and run.machine.status.state is State.IDLE, 20.0)
-    assert run.machine.status.code is Code.NONE
+    run.until(lambda: not run.machine.status.docked and run.machine.status.state is codes.State.IDLE, 20.0)
+    assert run.machine.status.code is codes.Code.NONE
     assert_home(run)
     assert run.world.record.energised > 3.0
-    run.begin(DockGoal(GOAL, hold=True))
+    run.begin(observation.DockGoal(GOAL, hold=True))
     run.until(lambda: run.machine.status.docked, 60.0)
     run.run(2.0)
     assert run.outcome is None, "without a stop condition it is held until it is cancelled"
     run.machine.cancel()
-    assert run.finish(30.0).code is Code.CANCELED
+    assert run.finish(30.0).code is codes.Code.CANCELED
     assert_home(run)

@@ -4,8 +4,6 @@
 The circuit is a few lines: a stage of constant current and voltage, contacts, a target, 20 times a second.
 """
 
-from __future__ import annotations
-
 import math
 import random
 from collections.abc import Callable
@@ -15,13 +13,10 @@ from typing import Any
 import pytest
 
 from deltacharger_core.machine import ChargeLimits
-from deltacharger_docking import charging, context
-from deltacharger_docking.codes import NoChargeCurrent
-from deltacharger_docking.observation import Observation
-from deltacharger_docking.parameters import DockingParameters, TargetProfile
+from deltacharger_docking import charging, codes, context, observation, parameters
 from deltacharger_kinematics.geometry import DeltaGeometry
 
-SEVEN = TargetProfile(19.0, 29.4, 10.0, 0.5)
+SEVEN = parameters.TargetProfile(19.0, 29.4, 10.0, 0.5)
 PERIOD = 0.05
 
 
@@ -55,9 +50,9 @@ class Target:
 class Charge:
     """Charges one target after the other, as docking does after a probe."""
 
-    def __init__(self, profile: TargetProfile = SEVEN) -> None:
+    def __init__(self, profile: parameters.TargetProfile = SEVEN) -> None:
         self.profile = profile
-        self.shared = context.Context(DockingParameters(), DeltaGeometry(), profiles={"one": profile})
+        self.shared = context.Context(parameters.DockingParameters(), DeltaGeometry(), profiles={"one": profile})
         self.now = 0.0
 
     def run(self, target: Target, seconds: float, change: Callable[[float], None] = lambda at: None) -> str:
@@ -79,7 +74,7 @@ class Charge:
         self.now += PERIOD
         mean, least, volts = target.power(self.shared.limits.current, PERIOD)
         seen = {"contactor_closed": True, "charge_current": mean, "least_current": least, "target_voltage": volts}
-        self.shared.observe(Observation(self.now, power_age=0.0, battery_voltage=26.0, **seen))
+        self.shared.observe(observation.Observation(self.now, power_age=0.0, battery_voltage=26.0, **seen))
 
 
 def noisy(target: Target, source: random.Random) -> Target:
@@ -115,14 +110,14 @@ def test_a_battery_is_full_when_its_current_has_tapered_off_at_full_voltage() ->
 
 
 @pytest.mark.parametrize("profile", [SEVEN, replace(SEVEN, end_current=0.15, current=2.0)])
-def test_noise_ends_nothing_and_hides_neither_a_full_battery_nor_a_film(profile: TargetProfile) -> None:
+def test_noise_ends_nothing_and_hides_neither_a_full_battery_nor_a_film(profile: parameters.TargetProfile) -> None:
     target = noisy(Target(28.5, rate=0.0006), random.Random(1))
     assert Charge(profile).run(target, 3000.0) == f"current below {profile.end_current} A"
     assert target.volts > 29.3
     for volts in (19.5, 24.0, 27.0):
         for dirt in (20.0, 60.0):
             target = noisy(Target(volts), random.Random(2))
-            with pytest.raises(NoChargeCurrent):
+            with pytest.raises(codes.NoChargeCurrent):
                 Charge(profile).run(target, 90.0, set_at(target, 20.0, dirt=dirt))
 
 
@@ -133,7 +128,7 @@ def test_a_battery_management_that_cuts_off_is_full_only_at_full_voltage(volts: 
     if full:
         assert charge.run(target, 30.0, set_at(target, 10.0, takes=0.0)) == "cut by the target"
     else:
-        with pytest.raises(NoChargeCurrent, match=r"current ended at 28\.0 V of 29\.4 V: not full"):
+        with pytest.raises(codes.NoChargeCurrent, match=r"current ended at 28\.0 V of 29\.4 V: not full"):
             charge.run(target, 30.0, set_at(target, 10.0, takes=0.0))
 
 
@@ -170,7 +165,7 @@ def test_a_regulated_input_whose_port_shows_no_battery_is_full_only_by_a_small_c
     assert Charge(dead).run(Target(29.4, load=60.0), 900.0) == ""
     assert Charge(dead).run(Target(29.4, load=10.0), 60.0) == "current below 0.5 A"
     target = Target(29.4, load=60.0)
-    with pytest.raises(NoChargeCurrent, match="whether the target is full is unknown"):
+    with pytest.raises(codes.NoChargeCurrent, match="whether the target is full is unknown"):
         Charge(dead).run(target, 60.0, set_at(target, 40.0, load=0.0))
     target = Target(29.4, load=60.0)
     tapers: Callable[[float], None] = lambda at: vars(target).update(load=max(60.0 - 2.0 * at, 0.0))  # noqa: E731
@@ -182,7 +177,9 @@ def test_a_regulated_input_whose_port_shows_no_battery_is_full_only_by_a_small_c
 @pytest.mark.parametrize("current", [0.3, 0.1])
 def test_a_battery_too_cold_to_charge_is_not_full(current: float) -> None:
     target = Target(24.5)
-    with pytest.raises(NoChargeCurrent, match=f"only {current:.2f} A flow at 2[46].. V of 29.4 V: not full; .*cold"):
+    with pytest.raises(
+        codes.NoChargeCurrent, match=f"only {current:.2f} A flow at 2[46].. V of 29.4 V: not full; .*cold"
+    ):
         Charge().run(target, 60.0, set_at(target, 5.0, most=current))
     assert Charge(replace(SEVEN, least_current=0.05)).run(Target(24.5, most=current), 60.0) == ""
 
@@ -202,5 +199,5 @@ def test_a_contact_that_is_dirty_from_the_start_shows_against_the_cleanest_one()
     assert charge.run(Target(24.0), 20.0) == ""
     assert charge.run(Target(24.0, dirt=0.4), 20.0) == ""
     assert charge.limits[-1] == pytest.approx(5.0, rel=0.05)
-    with pytest.raises(NoChargeCurrent, match=r"contact resistance rose to \d+ mΩ: clean the electrodes"):
+    with pytest.raises(codes.NoChargeCurrent, match=r"contact resistance rose to \d+ mΩ: clean the electrodes"):
         charge.run(Target(19.0, dirt=12.0), 60.0)

@@ -4,8 +4,6 @@
 No attack leaves current on, an arm stuck or an endless goal.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable
@@ -14,9 +12,7 @@ from typing import Any
 
 import pytest
 
-from deltacharger_docking import energy
-from deltacharger_docking.charging import CLEARANCE_PERIOD
-from deltacharger_docking.codes import Code, State
+from deltacharger_docking import charging, codes, energy
 from deltacharger_docking.observation import DockGoal, Observation, Reply, Service
 from deltacharger_sim.parameters import CircuitParameters
 from deltacharger_sim.virtual.virtual_charger import GOAL, VirtualCharger
@@ -53,7 +49,7 @@ def test_a_stop_condition_counts_from_its_own_goal() -> None:
     assert run.machine.status.docked
     assert run.dock(DockGoal(GOAL, stop_after=3.0)).success, "without hold it ends under supervision"
     until_open(run, 4.0)
-    assert (run.machine.status.docked, run.machine.status.code) == (True, Code.NONE)
+    assert (run.machine.status.docked, run.machine.status.code) == (True, codes.Code.NONE)
 
 
 def test_a_goal_without_charging_ends_charging_and_keeps_the_contact() -> None:
@@ -81,7 +77,7 @@ def test_a_docked_target_is_energised_in_place_after_a_new_clearance_measurement
 def test_a_target_that_turned_while_docked_is_not_energised_in_place() -> None:
     run = docked(start_charging=False, coarse=True)
     feel(run, angle=math.radians(12.5))
-    assert run.dock().code is Code.CRITICAL_ANGLE
+    assert run.dock().code is codes.Code.CRITICAL_ANGLE
     assert run.world.record.energised == 0.0
     assert_safe_at_home(run)
 
@@ -93,8 +89,8 @@ def test_repeated_goals_do_not_delay_the_clearance_check() -> None:
     while run.world.snapshot().contactor_closed and run.now < start + 20.0:
         assert run.dock().success
         run.run(0.5)
-    assert run.now - start < 3.0 * CLEARANCE_PERIOD + 1.0
-    assert run.machine.status.code is Code.CRITICAL_ANGLE
+    assert run.now - start < 3.0 * charging.CLEARANCE_PERIOD + 1.0
+    assert run.machine.status.code is codes.Code.CRITICAL_ANGLE
 
 
 def test_the_lowest_critical_angle_of_all_goals_applies() -> None:
@@ -102,13 +98,13 @@ def test_the_lowest_critical_angle_of_all_goals_applies() -> None:
     assert run.dock(DockGoal(GOAL, critical_angle=math.radians(8.0))).success
     assert run.dock().success, "a goal without a limit of its own"
     feel(run, angle=math.radians(9.0))
-    ends(run, Code.CRITICAL_ANGLE)
+    ends(run, codes.Code.CRITICAL_ANGLE)
 
 
 @pytest.mark.parametrize("kind", [{}, WIRED], ids=["contactor", "wired"])
 def test_a_goal_with_a_limit_below_the_measured_angle_ends_charging(kind: dict[str, Any]) -> None:
     run = docked(3.0, -2.0, 5.0, **kind)
-    assert run.dock(DockGoal(GOAL, critical_angle=math.radians(3.0))).code is Code.CRITICAL_ANGLE
+    assert run.dock(DockGoal(GOAL, critical_angle=math.radians(3.0))).code is codes.Code.CRITICAL_ANGLE
     assert away(run) < 0.003
     assert not run.observe().torque_enabled
 
@@ -121,10 +117,10 @@ def test_a_goal_with_a_limit_below_the_measured_angle_ends_charging(kind: dict[s
 def test_a_rest_ends_after_hold_max_with_or_without_a_client(goal: DockGoal) -> None:
     run = quick_charger(parameters={"hold_max": 2.0}, coarse=True)
     assert run.dock(goal).success
-    run.until(lambda: not run.machine.busy and run.machine.status.state is State.IDLE and not run._torque, 6.0)
+    run.until(lambda: not run.machine.busy and run.machine.status.state is codes.State.IDLE and not run._torque, 6.0)
     assert ("hold_max" in run.outcome.message) is goal.hold  # type: ignore[union-attr]
     assert not run.machine.status.docked
-    assert run.machine.status.code is Code.NONE
+    assert run.machine.status.code is codes.Code.NONE
     assert_safe_at_home(run)
 
 
@@ -154,8 +150,8 @@ def test_a_clock_that_jumps_opens_the_contactor(seconds: float) -> None:
     run.distort = lambda seen: replace(seen, time=seen.time + seconds)
     run.tick()
     assert not run._energised
-    run.until(lambda: run.machine.status.state is State.IDLE, 30.0)
-    assert run.machine.status.code is Code.POWER_STALE
+    run.until(lambda: run.machine.status.state is codes.State.IDLE, 30.0)
+    assert run.machine.status.code is codes.Code.POWER_STALE
     assert_safe_at_home(run)
 
 
@@ -163,7 +159,7 @@ NAMES = "servo_state from /servo_node and /stranger"
 
 
 def until_idle(run: VirtualCharger) -> None:
-    run.until(lambda: run.machine.status.state is State.IDLE, 40.0)
+    run.until(lambda: run.machine.status.state is codes.State.IDLE, 40.0)
 
 
 def away(run: VirtualCharger) -> float:
@@ -192,7 +188,7 @@ def test_a_failure_right_after_the_close_waits_until_the_contactor_is_open() -> 
     run.begin(DockGoal(GOAL))
     run.until(lambda: run.machine._context.energise, 120.0)
     run.machine.cancel()
-    assert run.finish(30.0).code is Code.CANCELED
+    assert run.finish(30.0).code is codes.Code.CANCELED
     assert run.world.record.parted_live == 0
     assert run.world.record.unpowered_live == 0
 
@@ -202,18 +198,18 @@ def test_undocking_fails_while_the_torque_stays_on() -> None:
     serve = run._reply
     refused = lambda pending: Reply(pending.request.number, False, "out of order")  # noqa: E731
     run._reply = lambda pending: (refused if pending.request.service is Service.TORQUE_OFF else serve)(pending)
-    assert run.undock().code is Code.SERVO_FAULT, "it was refused"
+    assert run.undock().code is codes.Code.SERVO_FAULT, "it was refused"
     run._reply = serve
     spoil(run, torque_enabled=True)
     outcome = run.undock()
-    assert outcome.code is Code.SERVO_FAULT
+    assert outcome.code is codes.Code.SERVO_FAULT
     assert "still reports" in outcome.message
 
 
 @pytest.mark.parametrize(
-    ("fault", "code"), [(1, Code.NO_CHARGE_CURRENT), (2, Code.SHORT_CIRCUIT), (0, Code.POWER_STALE)]
+    ("fault", "code"), [(1, codes.Code.NO_CHARGE_CURRENT), (2, codes.Code.SHORT_CIRCUIT), (0, codes.Code.POWER_STALE)]
 )
-def test_a_refused_renewal_opens_at_once_and_the_next_fault_gives_the_code(fault: int, code: Code) -> None:
+def test_a_refused_renewal_opens_at_once_and_the_next_fault_gives_the_code(fault: int, code: codes.Code) -> None:
     run = docked()
     refused_at = run.now
     run.distort = lambda seen: replace(
@@ -224,9 +220,9 @@ def test_a_refused_renewal_opens_at_once_and_the_next_fault_gives_the_code(fault
     assert run.machine.status.code is code
 
 
-@pytest.mark.parametrize("begins", [rest(State.APPROACH), State.MEASURE, rest(State.ENERGISE)])
+@pytest.mark.parametrize("begins", [rest(codes.State.APPROACH), codes.State.MEASURE, rest(codes.State.ENERGISE)])
 def test_the_contactor_stays_open_while_there_is_a_second_source(
-    monkeypatch: pytest.MonkeyPatch, begins: State
+    monkeypatch: pytest.MonkeyPatch, begins: codes.State
 ) -> None:
     """At any time: docking continues up to closing, waits for it to disappear, reports it and retracts."""
     monkeypatch.setattr(energy, "_DUPLICATE_SOURCE_TIMEOUT", 2.0)
@@ -234,15 +230,15 @@ def test_the_contactor_stays_open_while_there_is_a_second_source(
     reach(run, begins)
     spoil(run, duplicate_sources=NAMES)
     outcome = run.finish(120.0)
-    assert (outcome.code, outcome.retriable) == (Code.DUPLICATE_SOURCE, True)
+    assert (outcome.code, outcome.retriable) == (codes.Code.DUPLICATE_SOURCE, True)
     assert NAMES in outcome.message
     assert run.machine.status.duplicate_sources == NAMES
     assert run.world.record.energised == 0.0
     until_idle(run)
 
 
-@pytest.mark.parametrize("begins", [rest(State.CONTACT), State.MEASURE])
-def test_an_estimate_made_during_a_second_source_allows_no_current(begins: State) -> None:
+@pytest.mark.parametrize("begins", [rest(codes.State.CONTACT), codes.State.MEASURE])
+def test_an_estimate_made_during_a_second_source_allows_no_current(begins: codes.State) -> None:
     """A second source that has disappeared before closing may have sent the estimate, so it is repeated."""
     run = quick_charger(coarse=True)
     sent = commands(run)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What docking publishes and reads, and its calls: it waits for a late service, and no call overtakes another."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any
@@ -15,13 +13,9 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
-from deltacharger_core.frames import IDENTITY, TransformParameters, product, rotation
+from deltacharger_core import frames, texts
 from deltacharger_core.ros.messages import seconds
-from deltacharger_core.texts import MESSAGE_MAX
-from deltacharger_docking.arm import Planner
-from deltacharger_docking.codes import Code, Rejected, State
-from deltacharger_docking.observation import ElectrodePose, Reply, Request, Service
-from deltacharger_docking.parameters import DockingNodeParameters, DockingParameters
+from deltacharger_docking import arm, codes, observation, parameters
 from deltacharger_docking.ros import messages as io
 from deltacharger_docking.ros.reports import PhaseLog
 from deltacharger_docking.ros.services import Services
@@ -32,7 +26,9 @@ from ..nodes import options
 
 
 def test_a_line_is_sent_with_positions_velocities_and_efforts_and_ends_at_rest() -> None:
-    waypoints = Planner(DockingParameters(), DeltaGeometry()).line((0.0, 0.0, 0.0), (0.0, 0.0, 0.06), 0.12)
+    waypoints = arm.Planner(parameters.DockingParameters(), DeltaGeometry()).line(
+        (0.0, 0.0, 0.0), (0.0, 0.0, 0.06), 0.12
+    )
     message = io.trajectory(waypoints, Time(sec=7))
     assert message.header.stamp.sec == 7
     assert list(message.joint_names) == list(io.JOINTS)
@@ -47,16 +43,18 @@ def test_a_line_is_sent_with_positions_velocities_and_efforts_and_ends_at_rest()
 
 
 DEGREE = math.radians(1.0)
-MOUNT = DockingNodeParameters()
-TURNED = DockingNodeParameters(base_pose=(0.3, -0.1, 0.2, *(math.sqrt(0.125) * value for value in (2, 2, 0, 0))))
+MOUNT = parameters.DockingNodeParameters()
+TURNED = parameters.DockingNodeParameters(
+    base_pose=(0.3, -0.1, 0.2, *(math.sqrt(0.125) * value for value in (2, 2, 0, 0)))
+)
 """A charger_base with another mount on its robot."""
 
 
 def turned(yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> tuple[float, ...]:
     """Return the quaternion of a roll, then a pitch, then a yaw, rad."""
     result: tuple[float, ...] = (0.0, math.sin(0.5 * yaw), 0.0, math.cos(0.5 * yaw))
-    result = product(result, (math.sin(0.5 * pitch), 0.0, 0.0, math.cos(0.5 * pitch)))
-    return product(result, (0.0, 0.0, math.sin(0.5 * roll), math.cos(0.5 * roll)))
+    result = frames.product(result, (math.sin(0.5 * pitch), 0.0, 0.0, math.cos(0.5 * pitch)))
+    return frames.product(result, (0.0, 0.0, math.sin(0.5 * roll), math.cos(0.5 * roll)))
 
 
 def quaternion(numbers: tuple[float, ...]) -> Quaternion:
@@ -65,11 +63,11 @@ def quaternion(numbers: tuple[float, ...]) -> Quaternion:
 
 def roll_of(numbers: tuple[float, ...]) -> float:
     """Return the roll as the camera reports it: of the x axis projected on charger_base's x and y, rad."""
-    rows = rotation(*numbers)
+    rows = frames.rotation(*numbers)
     return math.atan2(rows[1][0], rows[0][0])
 
 
-def goal(numbers: tuple[float, ...], charger: tuple[float, ...] = IDENTITY) -> ElectrodePose:
+def goal(numbers: tuple[float, ...], charger: tuple[float, ...] = frames.IDENTITY) -> observation.ElectrodePose:
     message = PoseStamped()
     message.header.frame_id = "charger_base"
     message.pose.position.z, message.pose.orientation = 0.08, quaternion(numbers)
@@ -82,10 +80,10 @@ def goal(numbers: tuple[float, ...], charger: tuple[float, ...] = IDENTITY) -> E
 @pytest.mark.parametrize("roll", [0.0, -7.0])
 @pytest.mark.parametrize("mount", [MOUNT, TURNED])
 def test_a_goal_that_leans_keeps_its_lean_in_either_frame(
-    yaw: float, pitch: float, roll: float, mount: DockingNodeParameters
+    yaw: float, pitch: float, roll: float, mount: parameters.DockingNodeParameters
 ) -> None:
     orientation = turned(yaw * DEGREE, pitch * DEGREE, roll * DEGREE)
-    in_robot = product(mount.base_pose[3:], orientation)
+    in_robot = frames.product(mount.base_pose[3:], orientation)
     for found in (goal(orientation), goal(in_robot, mount.base_pose)):
         assert (found.yaw, found.pitch) == pytest.approx((yaw * DEGREE, pitch * DEGREE))
         assert found.yaw_stddev == found.pitch_stddev == DEGREE
@@ -94,10 +92,12 @@ def test_a_goal_that_leans_keeps_its_lean_in_either_frame(
 
 @pytest.mark.parametrize("roll", [0.0, 7.0])
 @pytest.mark.parametrize("mount", [MOUNT, TURNED])
-def test_the_lean_of_a_goal_with_only_a_roll_is_unknown_not_zero(roll: float, mount: DockingNodeParameters) -> None:
+def test_the_lean_of_a_goal_with_only_a_roll_is_unknown_not_zero(
+    roll: float, mount: parameters.DockingNodeParameters
+) -> None:
     """Also with rounded numbers: a fleet that sends a roll has not measured the lean."""
     orientation = turned(roll=roll * DEGREE)
-    rounded = tuple(round(value, 4) for value in product(mount.base_pose[3:], orientation))
+    rounded = tuple(round(value, 4) for value in frames.product(mount.base_pose[3:], orientation))
     for found in (goal(orientation), goal(rounded, mount.base_pose)):
         assert all(map(math.isnan, (found.yaw, found.pitch, found.yaw_stddev, found.pitch_stddev)))
         assert found.sure_yaw(2.0) == 0.0
@@ -107,7 +107,7 @@ def test_the_lean_of_a_goal_with_only_a_roll_is_unknown_not_zero(roll: float, mo
 def test_a_goal_with_more_lean_than_30_degrees_is_refused() -> None:
     assert goal(turned(29.9 * DEGREE)).yaw == pytest.approx(29.9 * DEGREE)
     for numbers in (turned(30.1 * DEGREE), turned(pitch=-30.1 * DEGREE), turned(math.pi)):
-        with pytest.raises(Rejected, match="more than 30°"):
+        with pytest.raises(codes.Rejected, match="more than 30°"):
             goal(numbers)
 
 
@@ -169,11 +169,11 @@ def node(context: Any, namespace: str, spin: Spin) -> Node:
 
 @pytest.fixture
 def services(node: Node) -> Services:
-    return Services(node, TransformParameters())
+    return Services(node, frames.TransformParameters())
 
 
-def reply(services: Services) -> Reply:
-    found: list[Reply] = []
+def reply(services: Services) -> observation.Reply:
+    found: list[observation.Reply] = []
     wait_until(lambda: found.extend(services.take()[0]) or found, "a reply")
     return found[0]
 
@@ -181,7 +181,7 @@ def reply(services: Services) -> Reply:
 @pytest.mark.ros
 @pytest.mark.version
 def test_a_service_that_appears_after_the_call_is_used(node: Node, services: Services) -> None:
-    services.call(Request(7, Service.TARE))
+    services.call(observation.Request(7, observation.Service.TARE))
     assert services.take() == ((), "")
 
     def tare(request: Any, response: Any) -> Any:
@@ -191,7 +191,7 @@ def test_a_service_that_appears_after_the_call_is_used(node: Node, services: Ser
     node.create_service(Trigger, "tare", tare, callback_group=ReentrantCallbackGroup())
     answer = reply(services)
     assert (answer.number, answer.success, answer.message[:5]) == (7, True, "tared")
-    assert len(answer.message) < 2 * MESSAGE_MAX
+    assert len(answer.message) < 2 * texts.MESSAGE_MAX
 
 
 def serve_torque(node: Node) -> list[bool]:
@@ -209,19 +209,19 @@ def serve_torque(node: Node) -> list[bool]:
 
 @pytest.mark.ros
 def test_torque_on_never_overtakes_torque_off_when_servo_node_appears_late(node: Node, services: Services) -> None:
-    services.call(Request(1, Service.TORQUE_ON))
+    services.call(observation.Request(1, observation.Service.TORQUE_ON))
     received = serve_torque(node)
-    wait_until(services._clients[Service.TORQUE_ON].service_is_ready, "the service")
-    services.call(Request(2, Service.TORQUE_OFF))
+    wait_until(services._clients[observation.Service.TORQUE_ON].service_is_ready, "the service")
+    services.call(observation.Request(2, observation.Service.TORQUE_OFF))
     wait_until(lambda: services.take() and len(received) == 2, "both calls")
     assert received == [True, False]
 
 
 def test_a_failure_is_a_warning_and_a_cancel_none() -> None:
     lines, warnings = list[str](), list[str]()
-    log = PhaseLog(SimpleNamespace(info=lines.append, warning=warnings.append), State.IDLE)  # type: ignore[arg-type]
+    log = PhaseLog(SimpleNamespace(info=lines.append, warning=warnings.append), codes.State.IDLE)  # type: ignore[arg-type]
     log.begin("dock order-1")
-    for code in (Code.NO_CONTACT, Code.NO_CONTACT, Code.NONE, Code.CANCELED):
+    for code in (codes.Code.NO_CONTACT, codes.Code.NO_CONTACT, codes.Code.NONE, codes.Code.CANCELED):
         log.show(SimpleNamespace(code=code, message="why"), (), 0.0)
     assert warnings == ["dock order-1: 302 NO_CONTACT: why"]
     assert lines[1:] == ["dock order-1: 102 CANCELED: why"]

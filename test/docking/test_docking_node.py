@@ -10,8 +10,6 @@ With use_sim_time only stamps use /clock; control, the contactor's lease and the
 clock. What clocks that jump, rest or run at another rate do to the data is tested in test_inputs.
 """
 
-from __future__ import annotations
-
 import math
 import threading
 import time
@@ -30,10 +28,8 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 
 from deltacharger_bringup.scenes.scene import Scene
-from deltacharger_core.ros import qos
+from deltacharger_core.ros import messages, outcomes, qos
 from deltacharger_core.ros.client import ChargerClient
-from deltacharger_core.ros.messages import CODES
-from deltacharger_core.ros.outcomes import Progress
 from deltacharger_core.texts import REQUEST_ID_MAX
 
 from ..chargers import DEADLINE, Spin, wait_until
@@ -123,7 +119,7 @@ def bring_home(charger: RunningCharger) -> None:
 @pytest.mark.witness
 @pytest.mark.version
 def test_docking_charges_and_reports_it_and_undocking_ends_it(charger: RunningCharger) -> None:
-    seen: list[Progress] = []
+    seen: list[outcomes.Progress] = []
     longest = "y" * REQUEST_ID_MAX
     outcome = charger.dock(replace(GOAL, request_id=longest), seen.append)
     assert (outcome.success, outcome.error_code, outcome.error_name) == (True, 0, "NONE"), outcome
@@ -166,7 +162,7 @@ def test_an_impossible_goal_is_refused_before_anything_moves(
     before = servos.position
     result = raw.result(goal)
     assert not result.success
-    assert CODES[result.error_code] in ("REJECTED", "UNREACHABLE", "CRITICAL_ANGLE"), result.error_message
+    assert messages.CODES[result.error_code] in ("REJECTED", "UNREACHABLE", "CRITICAL_ANGLE"), result.error_message
     assert 0 < len(result.error_message) < 1000, "a person reads it"
     assert (servos.position, servos.torque_enabled) == (before, False)
     assert all(map(math.isnan, numbers(result.misalignment)))
@@ -228,7 +224,7 @@ def test_wrong_messages_on_a_topic_end_charging(charger: RunningCharger, monkeyp
     age_max = docking.get_parameter("age_max").value
     wait_until(lambda: not charger.is_closed, "an open contactor", age_max + host(OPENS))
     wait_until(lambda: charger.state.error_code, "a code")
-    assert CODES[charger.state.error_code] == "SERVO_STALE"
+    assert messages.CODES[charger.state.error_code] == "SERVO_STALE"
     assert docking._inputs.heard.refused > before
     assert docking._inputs.heard.last_refusal.startswith("servo_state")
     assert any("SERVO_STALE" in line for line in warned), warned
@@ -244,7 +240,7 @@ def test_parameters_set_at_run_time_apply_to_the_next_goal(charger: RunningCharg
     def set_home(z: float) -> str:
         return str(node.set_parameters_atomically([Parameter("home_z", value=z)]).reason)
 
-    usual, seen = node.get_parameter("home_z").value, list[Progress]()
+    usual, seen = node.get_parameter("home_z").value, list[outcomes.Progress]()
     assert charger.dock(CONTACT_ONLY).success
     assert "undock" in set_home(0.03), "the electrodes rest on the target"
     charger.go_home()
@@ -273,10 +269,14 @@ def test_goals_while_docking_node_ends_are_answered_and_everything_is_safe_befor
         assert not charger.node("mock_servo_node").torque_enabled
         results += [raw.result(Undock.Goal()), raw.result(pose())]
         for result in results:
-            assert (result.success, CODES[result.error_code], bool(result.error_message)) == (False, "REJECTED", True)
+            assert (result.success, messages.CODES[result.error_code], bool(result.error_message)) == (
+                False,
+                "REJECTED",
+                True,
+            )
         assert "shutting down" in results[-1].error_message
         assert results[-1].retriable
-        assert CODES[answer(running_result).result.error_code] == "CANCELED"
+        assert messages.CODES[answer(running_result).result.error_code] == "CANCELED"
 
 
 _STEP = 0.01  # s of real time between two messages
@@ -316,7 +316,12 @@ def test_goals_are_refused_before_the_first_clock_message_and_served_until_the_c
         clock.cancel()
         wait_until(lambda: not charger.is_closed, "an open contactor", age_max + host(0.5))
         wait_until(lambda: charger.state.error_code, "a code")
-        assert CODES[charger.state.error_code] in ("SERVO_STALE", "TACTILE_STALE", "POWER_STALE", "ESTIMATE_UNSURE")
+        assert messages.CODES[charger.state.error_code] in (
+            "SERVO_STALE",
+            "TACTILE_STALE",
+            "POWER_STALE",
+            "ESTIMATE_UNSURE",
+        )
         assert "/clock" in charger.state.error_message
 
 

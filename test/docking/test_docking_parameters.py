@@ -5,8 +5,6 @@ A parameter that changes nothing which a user can see has no place among them. W
 name; live ones are set between goals.
 """
 
-from __future__ import annotations
-
 import ast
 import math
 import operator
@@ -18,12 +16,10 @@ from typing import Any, NamedTuple
 
 import pytest
 
+from deltacharger_core import parameters, servo_types
 from deltacharger_core.machine import DOCK_DISTANCE
-from deltacharger_core.parameters import ParameterError, declared
-from deltacharger_core.servo_types import MX_64, TYPES, ServoType
-from deltacharger_docking.codes import Code, Rejected, State
+from deltacharger_docking import codes, observation
 from deltacharger_docking.machine import DockingMachine
-from deltacharger_docking.observation import DockGoal, Observation
 from deltacharger_docking.parameters import DockingNodeParameters, DockingParameters
 from deltacharger_docking.ros.docking_node import DockingNode
 from deltacharger_kinematics.scalar import ScalarDelta
@@ -51,7 +47,7 @@ class Case(NamedTuple):
 
     value: Any
     shows: Shows
-    then: Code | Callable[[Any, Any], bool]
+    then: codes.Code | Callable[[Any, Any], bool]
     place: tuple[float, float, float] = (3.0, -2.0, 2.0)
     also: Mapping[str, Any] = MappingProxyType({})
     world: Mapping[str, Any] = MappingProxyType({})
@@ -61,7 +57,7 @@ class Case(NamedTuple):
         return self.shows(charger(*self.place, parameters={**self.also, **given}, coarse=True, **self.world))
 
 
-def code(run: VirtualCharger) -> Code:
+def code(run: VirtualCharger) -> codes.Code:
     return run.dock().code
 
 
@@ -77,13 +73,13 @@ def contacts(run: VirtualCharger) -> int:
 
 def push(run: VirtualCharger) -> float:
     """Return the contact current at rest, A."""
-    outcome = run.dock(DockGoal(GOAL, start_charging=False))
+    outcome = run.dock(observation.DockGoal(GOAL, start_charging=False))
     assert outcome.success
     return outcome.contact_current
 
 
 def told_force(run: VirtualCharger) -> float:
-    outcome = run.dock(DockGoal(GOAL, start_charging=False))
+    outcome = run.dock(observation.DockGoal(GOAL, start_charging=False))
     assert outcome.success
     return outcome.contact_force
 
@@ -91,7 +87,7 @@ def told_force(run: VirtualCharger) -> float:
 def tared_at(run: VirtualCharger) -> float:
     """Return where the arm measures its zero, m."""
     sent = commands(run)
-    run.begin(DockGoal(GOAL))
+    run.begin(observation.DockGoal(GOAL))
     run.until(lambda: bool(decisions(sent, "zero")), 30.0)
     return run.world.snapshot().position[2]
 
@@ -103,10 +99,10 @@ def returns_to(run: VirtualCharger) -> float:
     return run.world.snapshot().position[2]
 
 
-def shown(state: State, lasts: float, **values: Any) -> Shows:
+def shown(state: codes.State, lasts: float, **values: Any) -> Shows:
     """Replace these values in an observation for some seconds from a state on, and return the code that follows."""
 
-    def shows(run: VirtualCharger) -> Code:
+    def shows(run: VirtualCharger) -> codes.Code:
         reach(run, state)
         run.run(0.1)
         spoil(run, **values)
@@ -126,35 +122,37 @@ def yaw_error(run: VirtualCharger) -> float:
 
 CASES: dict[str, Case | str] = {
     "power": "docking/test_approaches.py::test_it_docks_and_aligns_and_reports_only_known_values",
-    "servo_stiffness": Case(160.0, code, Code.SERVO_FAULT),
+    "servo_stiffness": Case(160.0, code, codes.Code.SERVO_FAULT),
     "torque_constant": Case(1.2, told_force, operator.lt),
-    "gravity": Case((0.0, 20.0, 0.0), code, Code.SERVO_FAULT),
+    "gravity": Case((0.0, 20.0, 0.0), code, codes.Code.SERVO_FAULT),
     "home_z": Case(0.03, returns_to, operator.gt),
     "travel_speed": Case(0.02, seconds, operator.gt),
     "search_speed": Case(0.005, seconds, operator.gt),
     "press_speed": Case(0.003, seconds, operator.gt),
     "standoff": Case(0.03, tared_at, operator.lt),
-    "search_depth": Case(0.005, code, Code.NO_CONTACT, world={"target": TargetParameters(z=0.095)}),
+    "search_depth": Case(0.005, code, codes.Code.NO_CONTACT, world={"target": TargetParameters(z=0.095)}),
     "current_min": Case(0.46, push, operator.gt),
     "current_max": Case(0.44, push, operator.lt),
-    "critical_angle": Case(math.radians(5.0), code, Code.CRITICAL_ANGLE, (3.0, -2.0, 6.0)),
-    "electrode_half_gap": Case(0.001, code, Code.CRITICAL_ANGLE, (3.0, -2.0, 6.0)),
-    "electrode_half_length": Case(0.1, code, Code.CRITICAL_ANGLE, (3.0, -2.0, 6.0)),
-    "clearance_min": Case(0.005, code, Code.CRITICAL_ANGLE, (3.0, -2.0, 6.0)),
+    "critical_angle": Case(math.radians(5.0), code, codes.Code.CRITICAL_ANGLE, (3.0, -2.0, 6.0)),
+    "electrode_half_gap": Case(0.001, code, codes.Code.CRITICAL_ANGLE, (3.0, -2.0, 6.0)),
+    "electrode_half_length": Case(0.1, code, codes.Code.CRITICAL_ANGLE, (3.0, -2.0, 6.0)),
+    "clearance_min": Case(0.005, code, codes.Code.CRITICAL_ANGLE, (3.0, -2.0, 6.0)),
     "landing_limit": Case(0.001, contacts, operator.gt, (11.0, -9.0, 6.0)),
     "overlap_loss_max": Case(0.001, contacts, operator.gt),
-    "place_stddev": Case(0.0001, code, Code.LEANING, (11.0, -9.0, 6.0)),
+    "place_stddev": Case(0.0001, code, codes.Code.LEANING, (11.0, -9.0, 6.0)),
     "yaw_stddev": Case(0.0, contacts, operator.lt),
     "platform_compliance": Case(0.1, yaw_error, operator.gt),
-    "magnet_force": Case(300.0, code, Code.STUCK),
+    "magnet_force": Case(300.0, code, codes.Code.STUCK),
     "charge_stable_time": Case(3.0, seconds, operator.gt),
-    "battery_voltage_min": Case(23.5, shown(State.CHARGING, 6.0, battery_voltage=23.2), Code.VOLTAGE_OUT_OF_RANGE),
-    "battery_voltage_start": Case(27.0, code, Code.VOLTAGE_OUT_OF_RANGE),
-    "battery_voltage_max": Case(24.0, code, Code.VOLTAGE_OUT_OF_RANGE),
+    "battery_voltage_min": Case(
+        23.5, shown(codes.State.CHARGING, 6.0, battery_voltage=23.2), codes.Code.VOLTAGE_OUT_OF_RANGE
+    ),
+    "battery_voltage_start": Case(27.0, code, codes.Code.VOLTAGE_OUT_OF_RANGE),
+    "battery_voltage_max": Case(24.0, code, codes.Code.VOLTAGE_OUT_OF_RANGE),
     "hold_max": "docking/test_docked_goals.py::test_a_rest_ends_after_hold_max_with_or_without_a_client",
-    "age_max": Case(0.2, shown(State.CONTACT, 0.2, servo_age=0.3), Code.SERVO_STALE),
-    "live_servo_age_max": Case(0.1, shown(State.CHARGING, 0.1, servo_age=0.15), Code.SERVO_STALE),
-    "goal_timeout": Case(12.0, code, Code.TIMEOUT, also={"press_speed": 0.002}),
+    "age_max": Case(0.2, shown(codes.State.CONTACT, 0.2, servo_age=0.3), codes.Code.SERVO_STALE),
+    "live_servo_age_max": Case(0.1, shown(codes.State.CHARGING, 0.1, servo_age=0.15), codes.Code.SERVO_STALE),
+    "goal_timeout": Case(12.0, code, codes.Code.TIMEOUT, also={"press_speed": 0.002}),
     "servo_type": "docking/test_docking_parameters.py::test_the_band_of_every_servo_type_is_the_papers_force",
     "base_frame": "ros/test_frames.py::test_without_tf2_ros_parameters_are_used_and_other_frames_refused_by_name",
     "base_pose": "docking/test_docking_messages.py::test_a_goal_that_leans_keeps_its_lean_in_either_frame",
@@ -167,14 +165,16 @@ def test_another_value_changes_what_the_charger_does(name: str) -> None:
     case = CASES[name]
     assert isinstance(case, Case)
     usual, changed = case.seen(), case.seen(**{name: case.value})
-    if isinstance(case.then, Code):
-        assert (usual, changed) == (Code.NONE, case.then)
+    if isinstance(case.then, codes.Code):
+        assert (usual, changed) == (codes.Code.NONE, case.then)
     else:
         assert case.then(changed, usual), (changed, usual)
 
 
 def test_every_parameter_has_a_case_or_a_test_that_exists() -> None:
-    assert set(CASES) == {each.name for table in (DockingParameters, DockingNodeParameters) for each in declared(table)}
+    assert set(CASES) == {
+        each.name for table in (DockingParameters, DockingNodeParameters) for each in parameters.declared(table)
+    }
     for name in CASES.values():
         if isinstance(name, str):
             file, _, test = name.partition("::")
@@ -190,13 +190,13 @@ GUARDS = {  # of live electrodes, or copied by another part
 
 
 def test_parameters_that_protect_live_electrodes_or_describe_the_machine_are_fixed() -> None:
-    assert not GUARDS & {each.name for each in declared(DockingParameters) if each.tunable}
-    assert {each.name for each in declared(DockingParameters)} >= GUARDS
+    assert not GUARDS & {each.name for each in parameters.declared(DockingParameters) if each.tunable}
+    assert {each.name for each in parameters.declared(DockingParameters)} >= GUARDS
 
 
 def test_tuning_is_refused_while_the_arm_retracts() -> None:
     machine = DockingMachine(DockingParameters())
-    machine.start_undock("", Observation(0.0))
+    machine.start_undock("", observation.Observation(0.0))
     assert machine.tune(DockingParameters(home_z=0.01)).startswith("a goal is running")
     machine.emergency()
     assert machine.tune(DockingParameters(home_z=0.01)) == ""
@@ -210,13 +210,13 @@ def test_tuning_is_refused_while_the_arm_retracts() -> None:
     ],
 )
 def test_two_that_contradict_each_other_are_refused(given: dict[str, float], key: str, other: str) -> None:
-    with pytest.raises(ParameterError, match=other) as refused:
+    with pytest.raises(parameters.ParameterError, match=other) as refused:
         DockingParameters(**given)
     assert refused.value.key == key
 
 
 def test_a_home_from_which_the_arm_could_not_pull_off_is_refused() -> None:
-    with pytest.raises(Rejected, match="less than 12 mm beyond home_z, 68 mm"):
+    with pytest.raises(codes.Rejected, match="less than 12 mm beyond home_z, 68 mm"):
         charger(parameters={"home_z": 0.0681}, coarse=True).dock()
 
 
@@ -230,12 +230,14 @@ def parameters_of(context: Any, namespace: str, **given: Any) -> DockingParamete
 
 
 @pytest.mark.ros
-@pytest.mark.parametrize("servo", TYPES.values(), ids=lambda servo: servo.name)
-def test_the_band_of_every_servo_type_is_the_papers_force(context: Any, namespace: str, servo: ServoType) -> None:
+@pytest.mark.parametrize("servo", servo_types.TYPES.values(), ids=lambda servo: servo.name)
+def test_the_band_of_every_servo_type_is_the_papers_force(
+    context: Any, namespace: str, servo: servo_types.ServoType
+) -> None:
     found = parameters_of(context, namespace, servo_type=servo.name)
     torques = [(found.torque_constant * current,) * 3 for current in (found.current_min, found.current_max)]
     forces = [ScalarDelta().force(0.0, 0.0, DOCK_DISTANCE, torque)[2] for torque in torques]
     assert forces == pytest.approx([15.3, 19.2], abs=0.06)  # N, the paper's 0.4 and 0.5 A of an MX-64
-    assert (found == DockingParameters()) is (servo is MX_64)
+    assert (found == DockingParameters()) is (servo is servo_types.MX_64)
     own = parameters_of(context, f"{namespace}_own", servo_type=servo.name, current_max=0.6)
     assert own == replace(found, current_max=0.6)

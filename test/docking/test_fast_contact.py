@@ -1,14 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Laws of press: contact is fast where nothing can be struck, and bounded wherever the target may be."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest
 
-from deltacharger_docking.codes import Code, State
-from deltacharger_docking.observation import DockGoal
+from deltacharger_docking import codes, observation
 from deltacharger_sim.parameters import ContactParameters, ServoParameters
 from deltacharger_sim.virtual.virtual_charger import GOAL, TICK, VirtualCharger
 
@@ -22,8 +19,8 @@ free travel, platform and rotors (0.012 kg·m², 0.11 m/rad together: 3.3 kg) ta
 
 def until_lifted(run: VirtualCharger) -> None:
     """Dock up to where the electrodes have been lifted off to move sideways."""
-    run.begin(DockGoal(GOAL))
-    run.until(lambda: run.machine.status.state is State.ALIGN, 60.0)
+    run.begin(observation.DockGoal(GOAL))
+    run.until(lambda: run.machine.status.state is codes.State.ALIGN, 60.0)
     z = run.world.snapshot().position[2]
     run.until(lambda: run.world.snapshot().position[2] < z - 4.0 * MILLIMETRE, 10.0)
 
@@ -50,7 +47,7 @@ def test_the_search_ends_within_the_servos_reaction_after_touch(servo: float, co
         contact=ContactParameters(stiffness=contact),
     )
     sent = commands(run)
-    run.begin(DockGoal(GOAL))
+    run.begin(observation.DockGoal(GOAL))
     run.until(lambda: run.observe().tactile_contact, 60.0)
     earlier = len(sent) - 1
     run.run(2 * TICK)
@@ -81,5 +78,5 @@ def test_a_target_that_disappeared_between_two_presses_is_reported() -> None:
     target = run.world.parameters.target
     run.world.parameters = replace(run.world.parameters, target=replace(target, z=target.z + 0.060))
     run.world.mechanics._target_z = target.z + 0.060  # type: ignore[attr-defined]
-    assert run.finish(120.0).code is Code.NO_CONTACT
+    assert run.finish(120.0).code is codes.Code.NO_CONTACT
     assert_safe_at_home(run)

@@ -5,8 +5,6 @@ Ages decide in the machine: test_machine_faults. Here no node runs; test_docking
 An estimate must come from frames that were sampled after the request, each once, half of them received by docking.
 """
 
-from __future__ import annotations
-
 import math
 from array import array
 from collections.abc import Callable
@@ -18,10 +16,8 @@ from rclpy.clock import ROSClock
 from rclpy.duration import Duration
 from rclpy.time import Time
 
-from deltacharger_core.machine import JOINTS
-from deltacharger_core.real_time import HostClock
-from deltacharger_docking.clearance import MisalignmentEstimate
-from deltacharger_docking.observation import Observation, Reply
+from deltacharger_core import machine, real_time
+from deltacharger_docking import clearance, observation
 from deltacharger_docking.ros.inputs import FrameCheck, Heard
 
 NAN, INF = math.nan, math.inf
@@ -48,10 +44,12 @@ class Bench:
         self.distort: dict[type[Any], Distortion] = {}
         self._clock = ROSClock()
         self._clock._set_ros_time_is_active(simulated)
-        self.heard = Heard(self._clock, HostClock(lambda: round(1e9 * self.stamps), lambda: round(1e9 * self._now)))
+        self.heard = Heard(
+            self._clock, real_time.HostClock(lambda: round(1e9 * self.stamps), lambda: round(1e9 * self._now))
+        )
         self._sequence = 0
 
-    def run(self, seconds: float) -> Observation:
+    def run(self, seconds: float) -> observation.Observation:
         """Let time pass, with a message of each topic in every tick; return the last observation."""
         for _ in range(round(seconds / TICK)):
             self._now += TICK
@@ -68,7 +66,7 @@ class Bench:
 
     def _message(self, kind: type[Any]) -> Any:
         if kind is ServoState:
-            message = ServoState(name=list(JOINTS), position=[0.1, 0.2, 0.3], current=[0.4, 0.5, 0.6])
+            message = ServoState(name=list(machine.JOINTS), position=[0.1, 0.2, 0.3], current=[0.4, 0.5, 0.6])
             message.velocity, message.hardware_error = [0.0] * 3, [0] * 3
             message.torque_enabled, message.valid = [True] * 3, [True] * 3
             message.thermal_reserve, message.stray = [INF] * 3, [0] * 3
@@ -81,7 +79,7 @@ class Bench:
         return message
 
 
-def age(seen: Observation, kind: type[Any]) -> float:
+def age(seen: observation.Observation, kind: type[Any]) -> float:
     """Return the age of the newest message of a class, s."""
     return float(getattr(seen, f"{TOPICS[kind]}_age"))
 
@@ -136,7 +134,7 @@ WRONG: dict[type[Any], dict[str, Distortion]] = {
         "two positions": rows(0, 1, names=["position"]),
         "no currents": rows(names=["current"]),
         "other names": put(name=["a", "b", "c"]),
-        "another order": put(name=list(JOINTS[::-1])),
+        "another order": put(name=list(machine.JOINTS[::-1])),
         "endless angles": put(position=[INF, 0.0, 0.0]),
         "not valid": put(valid=[True, False, True]),
     },
@@ -244,7 +242,7 @@ PERIOD = 1.0 / 120.0  # s
 ASKED = 100.0  # s
 BEFORE = range(1000, 1120)  # sampled in the second before it
 AFTER = range(1120, 1144)
-FELT = MisalignmentEstimate(0.0, 0.01, 0.0, 1e-4, 0.0, 1e-4)
+FELT = clearance.MisalignmentEstimate(0.0, 0.01, 0.0, 1e-4, 0.0, 1e-4)
 
 
 def frame_check(after: range = AFTER, before: range = BEFORE, every: int = 1) -> FrameCheck:
@@ -258,7 +256,7 @@ def frame_check(after: range = AFTER, before: range = BEFORE, every: int = 1) ->
 
 
 def is_believed(found: FrameCheck, *named: int) -> bool:
-    reply = found.checked(Reply(7, True, estimate=FELT, sequences=named, asked=ASKED))
+    reply = found.checked(observation.Reply(7, True, estimate=FELT, sequences=named, asked=ASKED))
     assert reply.number == 7
     assert reply.success == (reply.estimate is not None)
     assert reply.success or "not confirmed" in reply.message

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Docking scenarios in virtual time, also at targets whose faces lean: what happens and how it ends."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -10,8 +10,6 @@ readings may really be constant unless the arm pulls: the push stays bounded, no
 sensors do not confirm, and while current flows any two of the three inputs detect a target that leaves.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace

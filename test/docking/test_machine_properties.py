@@ -5,44 +5,37 @@ A charger in virtual time drives the machine. An adversary spoils its observatio
 contradictory, twice, of another kind, with goals at any time.
 """
 
-from __future__ import annotations
-
 import math
 import random
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
-from deltacharger_docking import algorithm, release
-from deltacharger_docking.clearance import Verdict, judge
-from deltacharger_docking.codes import Code, DockingError, State
-from deltacharger_docking.contact import CONTACT_LOST_CURRENT
+from deltacharger_docking import algorithm, clearance, codes, contact, parameters, release
 from deltacharger_docking.observation import Command, DockGoal, Observation, Reply, Service
-from deltacharger_docking.parameters import DockingParameters
 from deltacharger_sim.virtual.virtual_charger import GOAL
 
 from .. import quick
 from .dockings import quick_charger
 
 GOAL_TIMEOUT, LOCATE_TIMEOUT, RETRACT_TIMEOUT = 25.0, 2.0, 8.0
-LIMITS = DockingParameters(**quick.STEPS, goal_timeout=GOAL_TIMEOUT)
+LIMITS = parameters.DockingParameters(**quick.STEPS, goal_timeout=GOAL_TIMEOUT)
 NAN3 = (math.nan, math.nan, math.nan)
 
 # What may follow each state: docs/dock-goals.md.
-BACK = {State.RETRACT}
-LEGAL: dict[State, set[State]] = {
-    State.IDLE: {State.LOCATE, State.APPROACH, State.MEASURE, *BACK},
-    State.LOCATE: {State.APPROACH, *BACK},
-    State.APPROACH: {State.CONTACT, *BACK},
-    State.CONTACT: {State.MEASURE, *BACK},
-    State.MEASURE: {State.ALIGN, State.CONTACT, State.ENERGISE, State.IDLE, *BACK},
-    State.ALIGN: {State.CONTACT, *BACK},
-    State.ENERGISE: {State.CHARGING, *BACK},
-    State.CHARGING: {State.IDLE, *BACK},
-    State.RETRACT: {State.IDLE},
+BACK = {codes.State.RETRACT}
+LEGAL: dict[codes.State, set[codes.State]] = {
+    codes.State.IDLE: {codes.State.LOCATE, codes.State.APPROACH, codes.State.MEASURE, *BACK},
+    codes.State.LOCATE: {codes.State.APPROACH, *BACK},
+    codes.State.APPROACH: {codes.State.CONTACT, *BACK},
+    codes.State.CONTACT: {codes.State.MEASURE, *BACK},
+    codes.State.MEASURE: {codes.State.ALIGN, codes.State.CONTACT, codes.State.ENERGISE, codes.State.IDLE, *BACK},
+    codes.State.ALIGN: {codes.State.CONTACT, *BACK},
+    codes.State.ENERGISE: {codes.State.CHARGING, *BACK},
+    codes.State.CHARGING: {codes.State.IDLE, *BACK},
+    codes.State.RETRACT: {codes.State.IDLE},
 }
 
 
@@ -59,13 +52,13 @@ class Judge:
 
     def __init__(self) -> None:
         self.asked: dict[int, Service] = {}
-        self.states = [State.IDLE]
+        self.states = [codes.State.IDLE]
         self.closings = 0
         self._closed = False
         self._forget()
 
     def _forget(self) -> None:
-        self.passed: list[Verdict] = []
+        self.passed: list[clearance.Verdict] = []
         self.probed = False
 
     def observe(self, observation: Observation) -> None:
@@ -80,10 +73,14 @@ class Judge:
     def _judge_estimate(self, reply: Reply) -> None:
         estimate = reply.estimate if reply.success else None
         good = estimate is not None and estimate.complete and estimate.sure and estimate.in_range and estimate.contact
-        verdict = judge(estimate, LIMITS) if good and estimate is not None else None
-        self.passed = [*self.passed, verdict] if verdict in (Verdict.SAFE, Verdict.PROBABLY_SAFE) else []
+        verdict = clearance.judge(estimate, LIMITS) if good and estimate is not None else None
+        self.passed = (
+            [*self.passed, verdict] if verdict in (clearance.Verdict.SAFE, clearance.Verdict.PROBABLY_SAFE) else []
+        )
 
-    def check_command(self, observation: Observation, command: Command, state: State, contact_current: float) -> None:
+    def check_command(
+        self, observation: Observation, command: Command, state: codes.State, contact_current: float
+    ) -> None:
         """Check the machine's command."""
         if state is not self.states[-1]:
             assert state in LEGAL[self.states[-1]], f"{self.states[-1].name} → {state.name}"
@@ -93,26 +90,26 @@ class Judge:
             self._check_closing(observation, contact_current)
             assert command.limits is not None
             assert (command.limits.current, command.limits.voltage, command.limits.dead) == (10.0, 29.4, False)
-        if not command.energise and command.trajectory and self.states[-1] is not State.RETRACT:
+        if not command.energise and command.trajectory and self.states[-1] is not codes.State.RETRACT:
             self.probed = False  # a new contact needs a new probe
-        if (self._closed and not command.energise) or self.states[-1] in (State.ALIGN, State.RETRACT):
+        if (self._closed and not command.energise) or self.states[-1] in (codes.State.ALIGN, codes.State.RETRACT):
             self._forget()
         self._closed = command.energise
 
     def _check_closing(self, observation: Observation, contact_current: float) -> None:
         self.closings += 1
-        assert self.states[-1] is State.ENERGISE
+        assert self.states[-1] is codes.State.ENERGISE
         assert observation.torque_enabled
         assert observation.hardware_error == 0
         assert observation.tactile_contact
-        assert contact_current >= CONTACT_LOST_CURRENT
+        assert contact_current >= contact.CONTACT_LOST_CURRENT
         assert observation.servo_age <= LIMITS.live_servo_age_max
         assert observation.tactile_age <= LIMITS.age_max
         assert observation.power_age <= LIMITS.age_max
         assert LIMITS.battery_voltage_start <= observation.battery_voltage <= LIMITS.battery_voltage_max
         assert self.probed, "a good probe after the last motion"
         assert self.passed, "the last estimate before it leaves clearance"
-        assert Verdict.SAFE in self.passed or len(self.passed) >= 2
+        assert clearance.Verdict.SAFE in self.passed or len(self.passed) >= 2
 
 
 Spoil = Callable[[Observation, random.Random], Observation]
@@ -190,7 +187,7 @@ class Run:
         self._how: Spoil = lambda seen, source: seen
         self._follow = self.charger._follow
         self.charger.distort, self.charger._follow = self._show, self._check  # type: ignore[method-assign]
-        self.codes: list[Code] = []
+        self.codes: list[codes.Code] = []
 
     def _show(self, seen: Observation) -> Observation:
         source = self._source
@@ -214,7 +211,7 @@ class Run:
         self.charger.tick()
         outcome, self.charger.outcome = self.charger.outcome, None
         if outcome is not None:
-            assert outcome.success == (outcome.code is Code.NONE)
+            assert outcome.success == (outcome.code is codes.Code.NONE)
             assert outcome.message
             self.codes.append(outcome.code)
 
@@ -225,7 +222,7 @@ class Run:
                 self.machine.start_undock("", self.charger.observe())
             else:
                 self.charger.begin(goal)
-        except DockingError as error:
+        except codes.DockingError as error:
             self.codes.append(error.code)
 
     def finish(self) -> None:
@@ -242,7 +239,7 @@ class Run:
         while quiet < 20:
             assert self.charger.now < end, f"not at rest within {ENOUGH} s, {self.machine.status.state.name}"
             self.step()
-            rests = self.machine.status.state is (State.CHARGING if self.charger._energised else State.IDLE)
+            rests = self.machine.status.state is (codes.State.CHARGING if self.charger._energised else codes.State.IDLE)
             quiet = quiet + 1 if rests and not self.machine.busy else 0
 
 
@@ -267,11 +264,11 @@ def test_without_an_adversary_it_docks_charges_and_undocks() -> None:
     run = Run(1, (), 0.0)
     run.goal(DockGoal(None))
     run.finish()
-    assert run.codes == [Code.NONE]
+    assert run.codes == [codes.Code.NONE]
     assert run.judge.closings == 1
     run.goal(None)
     run.finish()
-    assert run.codes == [Code.NONE, Code.NONE]
+    assert run.codes == [codes.Code.NONE, codes.Code.NONE]
     assert not run.charger.observe().torque_enabled
 
 

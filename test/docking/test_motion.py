@@ -4,8 +4,6 @@
 The receiver of the pieces follows the same line, and stops early if the sender stops.
 """
 
-from __future__ import annotations
-
 import math
 import random
 from collections.abc import Callable, Sequence
@@ -14,15 +12,14 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from deltacharger_docking import codes, parameters
 from deltacharger_docking.arm import Planner
-from deltacharger_docking.codes import Unreachable
-from deltacharger_docking.parameters import DockingParameters
 from deltacharger_driver.servos import motion as driver
 from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.trajectory_feed import HORIZON, PULL_HORIZON, TURN, Piece, TrajectoryFeed, Waypoint, pull
 
 HOME, STANDOFF = (0.0, 0.0, 0.0), (0.010, -0.020, 0.062)
-PARAMETERS = DockingParameters()
+PARAMETERS = parameters.DockingParameters()
 DELTA = Delta()
 PLANNER = Planner(PARAMETERS, DeltaGeometry())
 
@@ -37,7 +34,9 @@ def test_commands_lead_the_line_by_the_servos_yield_under_the_arms_weight() -> N
     lead = np.subtract(waypoints[-1].angles, DELTA.inverse(STANDOFF).angles)
     assert np.allclose(lead * PARAMETERS.servo_stiffness, held, atol=1e-12)
     assert np.abs(lead).max() > math.radians(0.5)
-    weightless = Planner(DockingParameters(gravity=(0.0, 0.0, 0.0)), DeltaGeometry()).line(HOME, STANDOFF, 0.12)
+    weightless = Planner(parameters.DockingParameters(gravity=(0.0, 0.0, 0.0)), DeltaGeometry()).line(
+        HOME, STANDOFF, 0.12
+    )
     assert np.allclose(weightless[-1].angles, DELTA.inverse(STANDOFF).angles, atol=1e-15)
 
 
@@ -55,17 +54,17 @@ def test_commands_stay_inside_the_joint_limits_and_rest_where_they_are_cut() -> 
 
 @pytest.mark.parametrize("goal", [(0.0, 0.0, 0.190), (0.150, 0.0, 0.080), (0.0, 0.0, 0.5)])
 def test_a_line_or_a_last_leg_that_leaves_the_limits_is_unreachable(goal: tuple[float, float, float]) -> None:
-    with pytest.raises(Unreachable, match="along the line"):
+    with pytest.raises(codes.Unreachable, match="along the line"):
         PLANNER.line((0.0, 0.0, 0.080), goal, 0.12)
     PLANNER.check_way(0.12, HOME, STANDOFF, HOME)
-    with pytest.raises(Unreachable):
+    with pytest.raises(codes.Unreachable):
         PLANNER.check_way(0.12, HOME, STANDOFF, HOME, goal)
 
 
 TICK = 0.01
 LAG = 0.06
-LINE = Planner(DockingParameters(), DeltaGeometry()).line((0.0, 0.0, 0.0), (0.01, -0.02, 0.062), 0.12)
-SLOW = Planner(DockingParameters(), DeltaGeometry()).line((0.0, 0.0, 0.0), (0.0, 0.0, 0.060), 0.03)
+LINE = Planner(parameters.DockingParameters(), DeltaGeometry()).line((0.0, 0.0, 0.0), (0.01, -0.02, 0.062), 0.12)
+SLOW = Planner(parameters.DockingParameters(), DeltaGeometry()).line((0.0, 0.0, 0.0), (0.0, 0.0, 0.060), 0.03)
 END = LINE[-1].time
 LIMITS = driver.JointLimits(("a", "b", "c"), -math.pi, math.pi, 10.0)
 

@@ -1,17 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the servos' currents tell: the push, the stiffness of their springs, and an arm at ease for hours."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
 
-from deltacharger_core.machine import SERVO_DAMPING, TORQUE_CONSTANT
-from deltacharger_core.servo_types import MX_64
-from deltacharger_docking.arm import Springs
-from deltacharger_docking.observation import DockGoal, ElectrodePose
-from deltacharger_docking.parameters import DockingParameters
+from deltacharger_core import machine, servo_types
+from deltacharger_docking import arm, observation, parameters
 from deltacharger_driver.servos.controller import ThermalModel
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_sim.parameters import ContactParameters, ServoParameters
@@ -25,17 +20,17 @@ PRESSED: Vector = (0.45, 0.6, 0.35)
 """Currents (A) of the servos in the band, with the arm's weight on the second."""
 
 
-def feel(springs: Springs, stiffness: float, currents: Vector = PRESSED, rates: Vector = STILL) -> None:
+def feel(springs: arm.Springs, stiffness: float, currents: Vector = PRESSED, rates: Vector = STILL) -> None:
     """Give readings of springs of `stiffness` (N·m/rad) under currents (A) at rates (rad/s)."""
     goals = tuple(
-        (TORQUE_CONSTANT * current + SERVO_DAMPING * rate) / stiffness
+        (machine.TORQUE_CONSTANT * current + machine.SERVO_DAMPING * rate) / stiffness
         for current, rate in zip(currents, rates, strict=True)
     )
     springs.add_reading((goals[0], goals[1], goals[2]), STILL, rates, currents)
 
 
-def configured(stiffness: float) -> Springs:
-    return Springs(DockingParameters(servo_stiffness=stiffness))
+def configured(stiffness: float) -> arm.Springs:
+    return arm.Springs(parameters.DockingParameters(servo_stiffness=stiffness))
 
 
 @pytest.mark.parametrize("true", [2.0, 15.0, 40.0])
@@ -46,8 +41,8 @@ def test_the_estimated_stiffness_overrides_the_configured_one(true: float, facto
     feel(springs, true, rates=rates)
     assert springs.is_estimated
     assert springs.stiffness == pytest.approx(true)
-    assert springs.compliance == pytest.approx(TORQUE_CONSTANT / true)
-    assert springs.lag == pytest.approx(SERVO_DAMPING / true)
+    assert springs.compliance == pytest.approx(machine.TORQUE_CONSTANT / true)
+    assert springs.lag == pytest.approx(machine.SERVO_DAMPING / true)
 
 
 SILENT: dict[str, tuple[Vector, Vector]] = {
@@ -124,7 +119,7 @@ def test_every_servo_can_hold_its_pressing_current_for_hours(
 ) -> None:
     run = resting(x, y, stiffness, gravity, believed)
     sent = commands(run)
-    outcome = run.dock(DockGoal(ElectrodePose((x * MILLIMETRE, y * MILLIMETRE, 0.080), 0.0)))
+    outcome = run.dock(observation.DockGoal(observation.ElectrodePose((x * MILLIMETRE, y * MILLIMETRE, 0.080), 0.0)))
     assert outcome.success, outcome.message
     assert 0.4 <= outcome.contact_current <= 0.5
     run.run(1.0)
@@ -133,9 +128,9 @@ def test_every_servo_can_hold_its_pressing_current_for_hours(
     eased = dict(decisions(sent, "eased")[0].values)
     assert eased["slip_m"] < 0.2 * MILLIMETRE, "one count of an encoder at most"
     assert hottest < 0.57
-    model = ThermalModel(MX_64)
+    model = ThermalModel(servo_types.MX_64)
     model.update(hottest, HELD)
     assert model.reserve() > 0.0
-    before = ThermalModel(MX_64)
+    before = ThermalModel(servo_types.MX_64)
     before.update(eased["hottest_before_A"], HELD)
     assert before.reserve() == 0.0, "with the weight on the servos it would have been too much"

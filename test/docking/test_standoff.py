@@ -4,18 +4,14 @@
 An arm that could not stop, press or let go is refused before contact, by the name of what is wrong.
 """
 
-from __future__ import annotations
-
 import random
 from itertools import permutations
 from typing import Any
 
 import pytest
 
-from deltacharger_core.machine import SERVO_INERTIA, TORQUE_CONSTANT
-from deltacharger_core.servo_types import MX_64
-from deltacharger_docking.codes import Code
-from deltacharger_docking.observation import DockGoal
+from deltacharger_core import machine, servo_types
+from deltacharger_docking import codes, observation
 from deltacharger_driver.servos.registers import TICK
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.swing import fit_swing, swing_readings
@@ -35,12 +31,14 @@ def swing(draw: random.Random, goal: float = 0.09, friction: float = 0.12) -> li
         torques = [k * (goal - a - 0.001) - d * rate for (k, d), a, rate in zip(SWUNG, angles, rates, strict=True)]
         if step % 100 == 0:
             counts = [round(angle / TICK) * TICK for angle in angles]
-            noisy = [torque / TORQUE_CONSTANT + draw.gauss(0.0, 0.01) for torque in torques]
-            currents = [round(current / MX_64.current_unit) * MX_64.current_unit for current in noisy]
+            noisy = [torque / machine.TORQUE_CONSTANT + draw.gauss(0.0, 0.01) for torque in torques]
+            currents = [
+                round(current / servo_types.MX_64.current_unit) * servo_types.MX_64.current_unit for current in noisy
+            ]
             seen.append((step * dt, tuple(counts), tuple(currents)))
         for index, torque in enumerate(torques):
             rubbed = torque - friction if rates[index] >= 0.0 else torque + friction
-            rates[index] += dt * rubbed / SERVO_INERTIA
+            rates[index] += dt * rubbed / machine.SERVO_INERTIA
             angles[index] += dt * rates[index]
     return seen  # type: ignore[return-value]
 
@@ -48,14 +46,14 @@ def swing(draw: random.Random, goal: float = 0.09, friction: float = 0.12) -> li
 def test_a_swing_shows_how_each_of_three_servos_springs_and_brakes() -> None:
     draw, goals, most = random.Random(1), (0.09,) * 3, (2.0,) * 3
     readings = [each for _ in range(4) for each in swing_readings(swing(draw), goals, most)]
-    for found, (stiffness, damping) in zip(fit_swing(readings, TORQUE_CONSTANT), SWUNG, strict=True):
+    for found, (stiffness, damping) in zip(fit_swing(readings, machine.TORQUE_CONSTANT), SWUNG, strict=True):
         assert found.stiffness == pytest.approx(stiffness, rel=0.2)
         assert found.damping == pytest.approx(damping, rel=0.2)
 
 
-def refused(run: VirtualCharger, code: Code, *words: str, home: float = 0.01) -> None:
+def refused(run: VirtualCharger, code: codes.Code, *words: str, home: float = 0.01) -> None:
     """Dock: it is refused before contact for this reason, and the arm is limp, within `home` (m) of its home."""
-    outcome = run.dock(DockGoal(GOAL))
+    outcome = run.dock(observation.DockGoal(GOAL))
     assert outcome.code is code, outcome.message
     assert all(word in outcome.message for word in words), outcome.message
     assert run.world.record.contacts == 0
@@ -72,7 +70,7 @@ def test_a_servo_with_a_wrong_d_gain_is_named_before_contact(number: int, brakin
         command(index, enabled, goal, bound, 1.0, braking if index == number - 1 else 1.0)
 
     run.world.command = braked  # type: ignore[method-assign]
-    refused(run, Code.SERVO_FAULT, f"servo {number} {wrong}", "position_d_gain")
+    refused(run, codes.Code.SERVO_FAULT, f"servo {number} {wrong}", "position_d_gain")
 
 
 @pytest.mark.parametrize("limbs", list(permutations(range(3)))[1:])
@@ -83,7 +81,7 @@ def test_exchanged_servos_are_named_before_contact(limbs: tuple[int, ...]) -> No
     run.world.servo = lambda index: servo(limbs[index])  # type: ignore[method-assign]
     run.world.command = lambda index, *order: command(limbs[index], *order)  # type: ignore[method-assign]
     wrong = [f"servo {number} limb {limb}" for number, limb in enumerate(limbs, 1) if limb != number - 1]
-    refused(run, Code.SERVO_FAULT, *wrong, "gravity")
+    refused(run, codes.Code.SERVO_FAULT, *wrong, "gravity")
 
 
 def wear(run: VirtualCharger, number: int, friction: float) -> None:
@@ -114,7 +112,7 @@ def test_friction_that_takes_what_pushing_needs_is_refused_by_its_culprit(
     run = charger(coarse=True, **world)
     if worn:
         wear(run, worn, 0.9)
-    refused(run, Code.SERVO_FAULT, culprit, home=0.04)
+    refused(run, codes.Code.SERVO_FAULT, culprit, home=0.04)
 
 
 @pytest.mark.parametrize(("drag", "stronger"), [(0.0, False), (8.0, True)])
@@ -122,14 +120,14 @@ def test_friction_is_measured_although_it_holds_the_arm_on_a_short_way(drag: flo
     """Free motion takes 4 N; a cable's 8 N, and what its load adds in the gears, hold the arm for more than 4 mm."""
     run = charger(coarse=True, cable=CableParameters(drag=drag))
     sent = commands(run)
-    assert run.dock(DockGoal(GOAL, start_charging=False)).success
+    assert run.dock(observation.DockGoal(GOAL, start_charging=False)).success
     (found,) = (dict(each.values)["friction_force_N"] for each in decisions(sent, "friction"))
     assert (10.0 if stronger else 3.0) < found < (14.5 if stronger else 5.0)
 
 
 def test_magnets_that_the_arm_could_not_leave_are_not_touched() -> None:
     run = charger(parameters={"magnet_force": 90.0}, magnets=MagnetParameters(force=90.0), coarse=True)
-    refused(run, Code.STUCK, "could not let go")
+    refused(run, codes.Code.STUCK, "could not let go")
 
 
 @pytest.mark.parametrize("coarse", [True, False])
@@ -148,7 +146,7 @@ def test_robots_that_yield_with_play_are_left_without_another_contact(coarse: bo
 
 def test_a_target_that_rolls_away_from_the_push_is_not_charged() -> None:
     run = charger(0.0, 0.0, 0.0, coarse=True, stand=StandParameters(stiffness=5e3, brakes=5.0))
-    assert run.dock().code is Code.TARGET_ROLLS
+    assert run.dock().code is codes.Code.TARGET_ROLLS
     assert run.world.record.energised == 0.0
     assert_safe_at_home(run)
 
@@ -159,5 +157,5 @@ def test_a_target_that_comes_along_is_never_left_as_undocked_while_it_touches(br
     assert run.dock().success
     outcome = run.undock()
     touches = run.world.mechanics.contact_force > 0.0
-    assert outcome.code is (Code.TARGET_ROLLS if touches else Code.NONE), outcome.message
+    assert outcome.code is (codes.Code.TARGET_ROLLS if touches else codes.Code.NONE), outcome.message
     assert run.machine.status.docked is touches

@@ -4,8 +4,6 @@
 Its place along the bars and across them, the yaw of its faces, also without forces; and the clearance of the bars.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import fields, replace
 from types import SimpleNamespace
@@ -14,9 +12,7 @@ import numpy as np
 import pytest
 
 from deltacharger_core.machine import MAGNET_FORCE, MAGNET_WIDTH, PAD_YAW_STIFFNESS
-from deltacharger_docking.arm import RemainingShare
-from deltacharger_docking.clearance import MisalignmentEstimate, Verdict, judge
-from deltacharger_docking.observation import ElectrodePose
+from deltacharger_docking import arm, clearance, observation
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.place import (
     LOAD_PER_YAW,
@@ -32,25 +28,25 @@ PUSH = 17.0  # N
 RIGID = 1.0 + PARAMETERS.platform_compliance * PAD_YAW_STIFFNESS
 
 
-def target_place(parameters: DockingParameters, electrodes: ElectrodePose | None = None) -> TargetPlace:
+def target_place(parameters: DockingParameters, electrodes: observation.ElectrodePose | None = None) -> TargetPlace:
     """A target's place for an arm that has learnt nothing yet."""
-    return TargetPlace(parameters, RemainingShare(parameters), electrodes)
+    return TargetPlace(parameters, arm.RemainingShare(parameters), electrodes)
 
 
-def seen(yaw: float = math.nan, stddev: float = math.nan, roll: float = 0.0) -> ElectrodePose:
+def seen(yaw: float = math.nan, stddev: float = math.nan, roll: float = 0.0) -> observation.ElectrodePose:
     """Electrodes straight ahead, whose yaw (degrees) a camera may have measured."""
-    return ElectrodePose((0.0, 0.0, 0.08), roll, yaw=yaw * DEGREE, yaw_stddev=stddev * DEGREE)
+    return observation.ElectrodePose((0.0, 0.0, 0.08), roll, yaw=yaw * DEGREE, yaw_stddev=stddev * DEGREE)
 
 
 def contact(
     x: float, yaw: float = 0.0, across: float = 0.0, angle: float = 0.0, force: bool = True
-) -> MisalignmentEstimate:
+) -> clearance.MisalignmentEstimate:
     """Estimate of one contact by the model: target off by x and across (m), faces yawed by degrees."""
     left = 0.5 * (float(MagnetPull(MAGNET_FORCE).at(np.array(x), across, angle)[0]) + PUSH)
     along = x + LOAD_PER_YAW * yaw * DEGREE / RIGID
     vertical = (across + along * math.sin(angle)) / math.cos(angle)
     forces = {"left_force": left, "right_force": left} if force else {}
-    return MisalignmentEstimate(
+    return clearance.MisalignmentEstimate(
         angle, 0.001, vertical, 2e-4, along, 1.2e-3, across=across, across_stddev=2e-4, **forces
     )
 
@@ -71,8 +67,10 @@ def test_contacts_beside_the_target_give_the_yaw_with_its_sign(yaw: float, camer
     assert abs(felt.horizontal) > 3.0 * abs(estimate.horizontal)
 
 
-def one_pad(left: float, right: float) -> MisalignmentEstimate:
-    return MisalignmentEstimate(0.0, 0.01, 0.0, 1e-3, 0.05, 0.02, in_range=False, left_force=left, right_force=right)
+def one_pad(left: float, right: float) -> clearance.MisalignmentEstimate:
+    return clearance.MisalignmentEstimate(
+        0.0, 0.01, 0.0, 1e-3, 0.05, 0.02, in_range=False, left_force=left, right_force=right
+    )
 
 
 def test_a_pad_that_carries_all_means_a_yaw_toward_it_if_both_ridges_are_on_their_pads() -> None:
@@ -120,50 +118,67 @@ def test_estimates_that_contradict_the_arms_moves_are_detected() -> None:
     assert (honest.contradicts_itself, frozen.contradicts_itself) == (False, True)
 
 
-LEVEL = [item for item in fields(MisalignmentEstimate) if item.name not in ("across", "across_stddev", "classes")]
+LEVEL = [
+    item for item in fields(clearance.MisalignmentEstimate) if item.name not in ("across", "across_stddev", "classes")
+]
 """Fields of estimates without an offset across."""
 
 
 def felt(
     degrees: float, vertical: float = 0.0, sigma_degrees: float = 0.1, sigma: float = 2e-4
-) -> MisalignmentEstimate:
-    return MisalignmentEstimate(math.radians(degrees), math.radians(sigma_degrees), vertical, sigma, 0.0, 1e-3)
+) -> clearance.MisalignmentEstimate:
+    return clearance.MisalignmentEstimate(
+        math.radians(degrees), math.radians(sigma_degrees), vertical, sigma, 0.0, 1e-3
+    )
 
 
 def test_uncertainty_only_makes_the_verdict_stricter() -> None:
-    order = [Verdict.SAFE, Verdict.PROBABLY_SAFE, Verdict.TOO_CLOSE, Verdict.CRITICAL]
+    order = [
+        clearance.Verdict.SAFE,
+        clearance.Verdict.PROBABLY_SAFE,
+        clearance.Verdict.TOO_CLOSE,
+        clearance.Verdict.CRITICAL,
+    ]
     for degrees in np.linspace(-14, 14, 29):
         for vertical in np.linspace(-0.008, 0.008, 9):
             ranks = [
-                order.index(judge(felt(degrees, vertical, 0.05 * factor, 1e-4 * factor), PARAMETERS))
+                order.index(clearance.judge(felt(degrees, vertical, 0.05 * factor, 1e-4 * factor), PARAMETERS))
                 for factor in (1, 2, 4, 8, 16)
             ]
             assert ranks == sorted(ranks)
 
 
 def test_a_lower_critical_angle_counts_and_a_higher_one_does_not() -> None:
-    assert judge(felt(5.0), PARAMETERS, math.radians(4.0)) is Verdict.CRITICAL
-    assert judge(felt(12.5), PARAMETERS, math.radians(20.0)) is Verdict.CRITICAL
+    assert clearance.judge(felt(5.0), PARAMETERS, math.radians(4.0)) is clearance.Verdict.CRITICAL
+    assert clearance.judge(felt(12.5), PARAMETERS, math.radians(20.0)) is clearance.Verdict.CRITICAL
 
 
 def test_an_unknown_offset_across_follows_from_the_pose_with_both_errors() -> None:
     angle = math.radians(10.0)
-    pose = MisalignmentEstimate(angle, 0.002, 0.003, 2e-4, 0.004, 1e-3)
+    pose = clearance.MisalignmentEstimate(angle, 0.002, 0.003, 2e-4, 0.004, 1e-3)
     assert pose.across == pytest.approx(0.003 * math.cos(angle) - 0.004 * math.sin(angle))
     assert pose.across_stddev == pytest.approx(math.hypot(2e-4 * math.cos(angle), 1e-3 * math.sin(angle)))
-    assert MisalignmentEstimate.of(SimpleNamespace(**{item.name: getattr(pose, item.name) for item in LEVEL})) == pose
-    assert not MisalignmentEstimate(math.nan, math.nan, math.nan, math.nan, math.nan, math.nan).complete
+    assert (
+        clearance.MisalignmentEstimate.of(SimpleNamespace(**{item.name: getattr(pose, item.name) for item in LEVEL}))
+        == pose
+    )
+    assert not clearance.MisalignmentEstimate(math.nan, math.nan, math.nan, math.nan, math.nan, math.nan).complete
 
 
 def test_a_known_pitch_only_makes_the_verdict_stricter_and_an_unknown_one_changes_nothing() -> None:
-    order = [Verdict.SAFE, Verdict.PROBABLY_SAFE, Verdict.TOO_CLOSE, Verdict.CRITICAL]
+    order = [
+        clearance.Verdict.SAFE,
+        clearance.Verdict.PROBABLY_SAFE,
+        clearance.Verdict.TOO_CLOSE,
+        clearance.Verdict.CRITICAL,
+    ]
     for degrees in (0.0, 5.0, 8.0):
         for vertical in np.linspace(-0.006, 0.006, 13):
             pose = felt(degrees, vertical)
             seen = [
                 replace(pose, pitch=sign * pitch, pitch_stddev=0.01) for pitch in (0.0, 0.05, 0.3) for sign in (1, -1)
             ]
-            ranks = [order.index(judge(each, PARAMETERS)) for each in [pose, *seen]]
+            ranks = [order.index(clearance.judge(each, PARAMETERS)) for each in [pose, *seen]]
             assert ranks == sorted(ranks)
-            assert judge(replace(pose, pitch=0.3), PARAMETERS) is judge(pose, PARAMETERS)
-            assert judge(replace(pose, pitch_stddev=0.3), PARAMETERS) is judge(pose, PARAMETERS)
+            assert clearance.judge(replace(pose, pitch=0.3), PARAMETERS) is clearance.judge(pose, PARAMETERS)
+            assert clearance.judge(replace(pose, pitch_stddev=0.3), PARAMETERS) is clearance.judge(pose, PARAMETERS)

@@ -1,16 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """What docking watches, in virtual time: where the arm is, what a measurement rests on, and what is live."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any
 
 import pytest
 
-from deltacharger_docking.codes import Code, State
-from deltacharger_docking.observation import Observation
+from deltacharger_docking import codes, observation
 from deltacharger_sim.parameters import ContactParameters, StandParameters, TargetParameters
 from deltacharger_sim.virtual.virtual_charger import VirtualCharger
 
@@ -32,11 +29,14 @@ def outside(run: VirtualCharger) -> float:
 
 
 @pytest.mark.parametrize("index", [rest(0), 1, rest(2)])
-@pytest.mark.parametrize("phase", [State.APPROACH, State.CONTACT, State.ALIGN, rest(State.MEASURE), State.RETRACT])
-def test_a_servo_that_keeps_its_place_is_named_before_the_others_drive_on(phase: State, index: int) -> None:
-    run = quick_charger(4.0, 4.0) if phase is State.MEASURE else quick_charger(8.0, 8.0)
-    if phase is State.RETRACT:
-        reach(run, State.CHARGING)
+@pytest.mark.parametrize(
+    "phase",
+    [codes.State.APPROACH, codes.State.CONTACT, codes.State.ALIGN, rest(codes.State.MEASURE), codes.State.RETRACT],
+)
+def test_a_servo_that_keeps_its_place_is_named_before_the_others_drive_on(phase: codes.State, index: int) -> None:
+    run = quick_charger(4.0, 4.0) if phase is codes.State.MEASURE else quick_charger(8.0, 8.0)
+    if phase is codes.State.RETRACT:
+        reach(run, codes.State.CHARGING)
         run.machine.start_undock("", run.observe())
         run.until(lambda: run.machine.status.state is phase, 5.0)
         run.until(lambda: not run.world.snapshot().contactor_closed, 5.0)
@@ -52,7 +52,7 @@ def test_a_servo_that_keeps_its_place_is_named_before_the_others_drive_on(phase:
     while run.outcome is None:
         run.tick()
         most = max(most, outside(run))
-    assert run.outcome.code is Code.SERVO_FAULT, run.outcome.message
+    assert run.outcome.code is codes.Code.SERVO_FAULT, run.outcome.message
     assert f"servo {index + 1} is farther from its goal" in run.outcome.message
     assert most < 5 * MILLIMETRE
     assert not run.observe().torque_enabled
@@ -60,12 +60,12 @@ def test_a_servo_that_keeps_its_place_is_named_before_the_others_drive_on(phase:
 
 def test_a_target_that_moves_away_does_not_take_the_arm_along() -> None:
     run = quick_charger()
-    reach(run, State.MEASURE)
+    reach(run, codes.State.MEASURE)
     for _ in range(100):
         run.world.mechanics.move_along(0.5 * MILLIMETRE)
         run.tick()
         assert outside(run) < 0.0
-    assert run.machine.status.code is Code.NO_CONTACT, run.machine.status.message
+    assert run.machine.status.code is codes.Code.NO_CONTACT, run.machine.status.message
     assert "moves away" in run.machine.status.message
 
 
@@ -73,7 +73,7 @@ def test_a_target_that_moves_away_does_not_take_the_arm_along() -> None:
 def test_pads_that_feel_contact_at_home_do_not_pull_the_arm_below(docks: bool) -> None:
     run, most = quick_charger(), -math.inf
     if docks:
-        reach(run, State.APPROACH)
+        reach(run, codes.State.APPROACH)
         run.run(0.3)
     else:
         run.outcome = None
@@ -82,17 +82,17 @@ def test_pads_that_feel_contact_at_home_do_not_pull_the_arm_below(docks: bool) -
     while run.outcome is None:
         run.tick()
         most = max(most, outside(run))
-    assert run.outcome.code is Code.STUCK, run.outcome.message
+    assert run.outcome.code is codes.Code.STUCK, run.outcome.message
     assert "pads feel contact at home" in run.outcome.message
     assert most < MILLIMETRE
 
 
 def test_a_target_that_rolls_while_it_is_measured_is_named() -> None:
     run = quick_charger(stand=StandParameters(stiffness=20e3))
-    reach(run, State.MEASURE)
+    reach(run, codes.State.MEASURE)
     run.world.mechanics.set_brakes(0.1)
-    run.until(lambda: run.machine.status.code is not Code.NONE, 10.0)
-    assert run.machine.status.code is Code.TARGET_ROLLS, run.machine.status.message
+    run.until(lambda: run.machine.status.code is not codes.Code.NONE, 10.0)
+    assert run.machine.status.code is codes.Code.TARGET_ROLLS, run.machine.status.message
     assert outside(run) < 0.0
 
 
@@ -110,20 +110,20 @@ def test_a_target_nearer_than_told_is_charged_with_the_push_that_is_told(nearer:
 
 
 @pytest.mark.parametrize("share", [0.0, rest(0.3)])
-@pytest.mark.parametrize("phase", [rest(State.APPROACH), State.CONTACT])
-def test_currents_that_lie_stop_the_push_that_the_pads_feel(phase: State, share: float) -> None:
+@pytest.mark.parametrize("phase", [rest(codes.State.APPROACH), codes.State.CONTACT])
+def test_currents_that_lie_stop_the_push_that_the_pads_feel(phase: codes.State, share: float) -> None:
     run = charger(coarse=True)
     reach(run, phase)
     frozen = run.observe().currents
 
-    def lie(seen: Observation) -> Observation:
+    def lie(seen: observation.Observation) -> observation.Observation:
         return replace(seen, earlier=(), currents=frozen if not share else tuple(share * i for i in seen.currents))
 
     run.distort, most = lie, 0.0
     while run.outcome is None:
         run.tick()
         most = max(most, run.world.snapshot().push if run.world.mechanics.contact_force else 0.0)
-    assert run.outcome.code is Code.SERVO_FAULT, run.outcome.message
+    assert run.outcome.code is codes.Code.SERVO_FAULT, run.outcome.message
     assert most < 30.0
 
 
@@ -132,7 +132,7 @@ def test_currents_that_lie_stop_the_push_that_the_pads_feel(phase: State, share:
 
 def test_a_target_that_shifts_while_docking_awaits_the_probe_is_measured_again() -> None:
     run = quick_charger(0.0, 0.0, 0.0, contact=SLIPPERY)
-    reach(run, State.ENERGISE)
+    reach(run, codes.State.ENERGISE)
     found = commands(run)
     run.world.move_target(0.0, 6 * MILLIMETRE, 0.0, 0.05)
     run.until(lambda: run.outcome is not None, 60.0)
@@ -152,21 +152,24 @@ def test_a_target_that_moves_on_the_pads_opens_before_a_short(shift: tuple[float
     run.world.move_target(0.0, across * MILLIMETRE, math.radians(degrees), 0.2)
     assert until_open(run) < 0.2
     run.run(0.1)
-    assert run.machine.status.code is Code.NO_CONTACT
+    assert run.machine.status.code is codes.Code.NO_CONTACT
     assert run.world.record.energised_unsafe == run.world.record.energised_shorts == 0
 
 
 @pytest.mark.parametrize("shown", [_WELD, _LIVE], ids=["welded", "current"])
-@pytest.mark.parametrize("phase", [State.APPROACH, State.CONTACT, State.MEASURE, State.ALIGN, rest(State.ENERGISE)])
-def test_current_that_nobody_ordered_ends_the_goal_where_the_arm_is(phase: State, shown: dict[str, Any]) -> None:
+@pytest.mark.parametrize(
+    "phase",
+    [codes.State.APPROACH, codes.State.CONTACT, codes.State.MEASURE, codes.State.ALIGN, rest(codes.State.ENERGISE)],
+)
+def test_current_that_nobody_ordered_ends_the_goal_where_the_arm_is(phase: codes.State, shown: dict[str, Any]) -> None:
     run = quick_charger(8.0, 8.0)
     reach(run, phase)
     spoil(run, **shown)
     before = run.world.snapshot().position
     run.until(lambda: run.outcome is not None, 5.0)
     assert run.outcome is not None
-    assert run.outcome.code is Code.CONTACTOR_WELDED
-    still = phase in (State.CONTACT, State.MEASURE, State.ENERGISE)  # in ALIGN it pulls off already
+    assert run.outcome.code is codes.Code.CONTACTOR_WELDED
+    still = phase in (codes.State.CONTACT, codes.State.MEASURE, codes.State.ENERGISE)  # in ALIGN it pulls off already
     assert not still or math.dist(before, run.world.snapshot().position) < 6 * MILLIMETRE
 
 
@@ -175,7 +178,7 @@ def test_a_voltage_of_electrodes_in_free_air_is_a_weld(leaves: bool) -> None:
     run = docked() if leaves else quick_charger()
     spoil(run, target_voltage=25.0)
     outcome = run.undock() if leaves else run.dock()
-    assert outcome.code is Code.CONTACTOR_WELDED
+    assert outcome.code is codes.Code.CONTACTOR_WELDED
     assert "touch nothing but have 25.0 V" in outcome.message
     assert run.world.record.contacts == leaves
     assert not run.observe().torque_enabled

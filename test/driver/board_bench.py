@@ -8,14 +8,7 @@ from typing import Any
 import pytest
 
 from deltacharger_core.machine import ChargeLimits
-from deltacharger_driver.board.protocol import (
-    Ack,
-    PacketType,
-    Power,
-    decode_ack,
-    decode_power,
-    encode_close,
-)
+from deltacharger_driver.board import protocol
 from deltacharger_driver.packets import Packet, PacketDecoder, encode_packet
 from deltacharger_sim.emulators.board import BoardEmulator
 
@@ -23,7 +16,7 @@ from ..plants import BenchPlant
 
 STEP = 0.005
 LIMITS = ChargeLimits(current=1.0, voltage=29.4, gap_time=0.2)
-CLOSE = encode_close(LIMITS)
+CLOSE = protocol.encode_close(LIMITS)
 
 
 class Bench:
@@ -66,11 +59,11 @@ class Bench:
         for number in range(round(seconds / STEP)):
             self.now += STEP
             if self.beating and number % 4 == 0:
-                self.send(PacketType.HEARTBEAT)
+                self.send(protocol.PacketType.HEARTBEAT)
             self.take(self.board.poll(self.now))
         return self.packets[start:]
 
-    def ack(self, type: int, payload: bytes = b"", wait: float = 0.0) -> Ack:
+    def ack(self, type: int, payload: bytes = b"", wait: float = 0.0) -> protocol.Ack:
         packets = self.send(type, payload) + (self.run(wait) if wait else [])
         answers = [a for a in acks(packets) if a.type == type]
         assert answers[0].sequence == self.sequence or self.beating
@@ -79,14 +72,14 @@ class Bench:
     def error(self, type: int, payload: bytes = b"", wait: float = 0.0) -> int:
         return self.ack(type, payload, wait).error
 
-    def power(self) -> Power:
-        return decode_power([p for p in self.packets if p.type == PacketType.POWER][-1].payload)
+    def power(self) -> protocol.Power:
+        return protocol.decode_power([p for p in self.packets if p.type == protocol.PacketType.POWER][-1].payload)
 
-    def probe(self) -> Ack:
-        return self.ack(PacketType.PROBE, wait=0.2)
+    def probe(self) -> protocol.Ack:
+        return self.ack(protocol.PacketType.PROBE, wait=0.2)
 
     def close(self) -> int:
-        return self.error(PacketType.CONTACTOR, CLOSE)
+        return self.error(protocol.PacketType.CONTACTOR, CLOSE)
 
     def closed(self) -> Bench:
         """Heartbeat, probe, close, and wait until current flows."""
@@ -100,8 +93,8 @@ class Bench:
 
 
 def tactile(packets: list[Packet]) -> list[Packet]:
-    return [p for p in packets if p.type == PacketType.TACTILE]
+    return [p for p in packets if p.type == protocol.PacketType.TACTILE]
 
 
-def acks(packets: list[Packet]) -> list[Ack]:
-    return [decode_ack(p.payload) for p in packets if p.type == PacketType.ACK]
+def acks(packets: list[Packet]) -> list[protocol.Ack]:
+    return [protocol.decode_ack(p.payload) for p in packets if p.type == protocol.PacketType.ACK]

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Emulated servos in virtual time or behind real pseudo-terminals, and their hosts."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -1,15 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """A servo controller over emulated servos; waiting for a condition runs its cycles."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
-from deltacharger_driver.servos.bus import ServoReport
-from deltacharger_driver.servos.controller import ServoController, ServoRequest
-from deltacharger_driver.servos.motion import JointLimits, ServoWaypoint, check
-from deltacharger_driver.servos.registers import WATCHDOG_TRIPPED, BusSettings
+from deltacharger_driver.servos import bus, controller, motion, registers
 from deltacharger_sim.emulators.servo_bus import ServoBusEmulator
 
 from ..plants import BenchArm
@@ -19,7 +14,7 @@ OVERLOAD = 1 << 5
 BOUND = (0.83, 0.83, 0.83)
 START = (-0.7, -0.5, 0.2)
 NAMES = ("a", "b", "c")
-LIMITS = JointLimits(NAMES, -1.2, 1.3, 4.4)
+LIMITS = motion.JointLimits(NAMES, -1.2, 1.3, 4.4)
 DEFAULT = 0.83
 
 
@@ -32,8 +27,8 @@ class Rig:
         self.requests: list[float] = []
         self.delay = 0.0
         self.torque_when_opened: list[bool] | None = None
-        self.controller = ServoController(
-            BusSettings(line.path, **settings),
+        self.controller = controller.ServoController(
+            registers.BusSettings(line.path, **settings),
             lambda *event: self.events.append(event),
             self,
             line.handler,
@@ -49,12 +44,12 @@ class Rig:
         self.torque_when_opened = self.torque_when_opened or self.arm.torque_enabled()
         return True
 
-    def cycle(self) -> ServoReport:
+    def cycle(self) -> bus.ServoReport:
         self.report = self.controller.cycle()
         self.clock.sleep(0.005)
         return self.report
 
-    def until(self, condition: Callable[[ServoReport], Any]) -> Any:
+    def until(self, condition: Callable[[bus.ServoReport], Any]) -> Any:
         deadline = self.clock() + DEADLINE
         while not (result := condition(self.cycle())):
             assert self.clock() < deadline, f"the condition did not become true; {self.report}"
@@ -62,10 +57,12 @@ class Rig:
 
     def pause(self) -> None:
         """Send nothing until the watchdogs have tripped, as if this thread got no processor."""
-        while any(self.emulator.servo(each).table.get("bus_watchdog") != WATCHDOG_TRIPPED for each in (1, 2, 3)):
+        while any(
+            self.emulator.servo(each).table.get("bus_watchdog") != registers.WATCHDOG_TRIPPED for each in (1, 2, 3)
+        ):
             self.clock.sleep(0.05)
 
-    def ask(self, action: str) -> ServoRequest:
+    def ask(self, action: str) -> controller.ServoRequest:
         request = self.controller.request(action)
         self.until(lambda report: request.wait(0.0))
         return request
@@ -75,7 +72,7 @@ class Rig:
         assert request.success, request.message
 
     def send(self, *rows: tuple[Any, ...], start: float | None = None) -> None:
-        trajectory = check(NAMES, [ServoWaypoint(*row) for row in rows], LIMITS)
+        trajectory = motion.check(NAMES, [motion.ServoWaypoint(*row) for row in rows], LIMITS)
         self.controller.submit(trajectory, *([] if start is None else [start]))
 
     def references(self) -> list[float]:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The emulated board against docs/board-link.md: boot, frames, tare, probe, interlocks, heartbeat, latched faults."""
 
-from __future__ import annotations
-
 import math
 import struct
 from typing import Any
@@ -11,22 +9,13 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from deltacharger_driver.board.protocol import (
-    BoardFault,
-    PacketType,
-    Power,
-    decode_hello,
-    decode_power,
-    decode_samples,
-    encode_close,
-    encode_limit,
-)
+from deltacharger_driver.board import protocol
 from deltacharger_driver.packets import Packet
 from deltacharger_sim.emulators.power import PortParameters, StageParameters, TargetPort
 
 from .board_bench import LIMITS, Bench, acks, tactile
 
-PROBE, CONTACTOR = PacketType.PROBE, PacketType.CONTACTOR
+PROBE, CONTACTOR = protocol.PacketType.PROBE, protocol.PacketType.CONTACTOR
 OPEN, CLEAR_WELD = b"\0", b"\2"
 
 
@@ -51,10 +40,10 @@ def test_a_gap_between_heartbeats_of_90_ms_is_survived_and_one_of_100_ms_is_not(
     bench = Bench().closed()
     bench.beating = False
     for _ in range(20):
-        bench.send(PacketType.HEARTBEAT)
+        bench.send(protocol.PacketType.HEARTBEAT)
         bench.run(gap)
     assert bench.board.contactor_commanded == survives
-    assert bench.board.fault == (BoardFault.NONE if survives else BoardFault.HEARTBEAT_LOST)
+    assert bench.board.fault == (protocol.BoardFault.NONE if survives else protocol.BoardFault.HEARTBEAT_LOST)
 
 
 @pytest.mark.parametrize("fault", [1, 9])
@@ -70,7 +59,7 @@ def test_a_detected_fault_opens_at_once_and_stays_until_the_next_opening_command
     bench.send(CONTACTOR, OPEN)
     bench.run(0.1)
     assert bench.power().fault == 0
-    assert bench.error(CONTACTOR, encode_limit(2.0)) == 4  # it is open
+    assert bench.error(CONTACTOR, protocol.encode_limit(2.0)) == 4  # it is open
     assert bench.close() == 3  # the opening voided the probe
     bench.closed()
 
@@ -85,7 +74,7 @@ def test_a_weld_stays_over_openings_and_boots_until_a_person_clears_it() -> None
     for forget in (lambda: bench.send(CONTACTOR, OPEN), bench.board.reboot):
         forget()
         bench.run(0.2)
-        assert bench.power().fault == BoardFault.CONTACTOR_WELDED
+        assert bench.power().fault == protocol.BoardFault.CONTACTOR_WELDED
         assert bench.error(PROBE) == bench.close() == 3
     for live in ({"current": 0.5}, {"current": -0.5}, {"current": math.nan}, {"target": 5.0}, {"target": -5.0}):
         bench.plant.measured = live
@@ -101,12 +90,12 @@ def test_a_weld_stays_over_openings_and_boots_until_a_person_clears_it() -> None
 
 def test_a_weld_replaces_every_fault_and_none_replaces_it() -> None:
     bench = Bench().closed()
-    bench.plant.welded, bench.plant.detected = True, BoardFault.OVER_CURRENT
+    bench.plant.welded, bench.plant.detected = True, protocol.BoardFault.OVER_CURRENT
     bench.run(0.03)
-    assert bench.board.fault == BoardFault.OVER_CURRENT
+    assert bench.board.fault == protocol.BoardFault.OVER_CURRENT
     bench.run(0.12)
-    bench.board.trip(BoardFault.SHORT_CIRCUIT)
-    assert bench.board.fault == BoardFault.CONTACTOR_WELDED
+    bench.board.trip(protocol.BoardFault.SHORT_CIRCUIT)
+    assert bench.board.fault == protocol.BoardFault.CONTACTOR_WELDED
 
 
 @pytest.mark.parametrize("dead", [False, True])
@@ -114,7 +103,7 @@ def test_a_bad_probe_forbids_a_close_but_sets_no_fault(dead: bool) -> None:
     bench = Bench()
     bench.beating, bench.plant.resistance, bench.plant.target = True, 0.01, -24.0
     bench.probe()
-    assert bench.error(CONTACTOR, encode_close(LIMITS._replace(dead=dead))) == 3
+    assert bench.error(CONTACTOR, protocol.encode_close(LIMITS._replace(dead=dead))) == 3
     bench.run(0.2)
     assert (bench.power().contactor_closed, bench.power().fault) == (False, 0)
 
@@ -138,7 +127,7 @@ def charging(port: dict[str, float], **limits: float) -> Bench:
     bench = Bench()
     bench.beating, bench.plant.resistance, bench.plant.port = True, 0.01, TargetPort(PortParameters(**port))
     bench.probe()
-    assert bench.error(CONTACTOR, encode_close(LIMITS._replace(**limits))) == 0
+    assert bench.error(CONTACTOR, protocol.encode_close(LIMITS._replace(**limits))) == 0
     return bench
 
 
@@ -150,7 +139,7 @@ def test_current_and_voltage_stay_within_the_limits_of_the_closing(
     bench.run(1.0)
     assert bench.power().charge_current == pytest.approx(flows, rel=0.01)
     assert bench.power().target_voltage == pytest.approx(shown, abs=0.01)
-    assert bench.error(CONTACTOR, encode_limit(2.0)) == 0
+    assert bench.error(CONTACTOR, protocol.encode_limit(2.0)) == 0
     bench.run(0.1)
     assert bench.power().charge_current == pytest.approx(2.0)
 
@@ -162,9 +151,9 @@ def test_a_gap_is_tolerated_for_its_time_and_current_ramps_again_from_one_ampere
     bench.run(0.55)
     assert bench.power().charge_current > 9.0
     packets = bench.run(gap + 0.15)
-    powers = [decode_power(p.payload) for p in packets if p.type == PacketType.POWER]
+    powers = [protocol.decode_power(p.payload) for p in packets if p.type == protocol.PacketType.POWER]
     assert powers[-1].contactor_closed == survives
-    assert powers[-1].fault == (0 if survives else BoardFault.NO_CHARGE_CURRENT)
+    assert powers[-1].fault == (0 if survives else protocol.BoardFault.NO_CHARGE_CURRENT)
     assert min(p.least_current for p in powers) == 0.0
     assert not survives or any(0.5 < p.charge_current < 9.0 for p in powers)
 
@@ -213,7 +202,7 @@ def test_an_unknown_current_does_not_end_a_gap() -> None:
     for current, seconds in ((0.0, 0.15), (NAN, 0.07), (0.0, 0.02)):
         bench.plant.measured = {"current": current}
         bench.run(seconds)
-    assert bench.board.fault == BoardFault.NO_CHARGE_CURRENT
+    assert bench.board.fault == protocol.BoardFault.NO_CHARGE_CURRENT
 
 
 @pytest.mark.parametrize(
@@ -249,7 +238,7 @@ def test_a_dead_port_gets_half_an_ampere_until_it_takes_current(
     port: dict[str, float], start: float, closed: bool, fault: int
 ) -> None:
     bench = charging(port, dead=True, current=5.0, start_time=start)
-    powers = [decode_power(p.payload) for p in bench.run(0.2) if p.type == PacketType.POWER]
+    powers = [protocol.decode_power(p.payload) for p in bench.run(0.2) if p.type == protocol.PacketType.POWER]
     assert max(p.charge_current for p in powers) <= 0.5 + 1e-6
     bench.run(4.0)
     assert (bench.power().contactor_closed, bench.power().fault) == (closed, fault)
@@ -279,7 +268,7 @@ def test_a_constant_voltage_above_the_limit_is_refused() -> None:
 
 def test_the_output_is_limited_so_that_the_input_stays_within_its_fuse() -> None:
     bench = stage(input_fuse=10.0)
-    bench.error(CONTACTOR, encode_close(LIMITS._replace(current=18.0)))
+    bench.error(CONTACTOR, protocol.encode_close(LIMITS._replace(current=18.0)))
     bench.run(1.0)
     power = bench.power()
     assert power.charge_current * power.target_voltage == pytest.approx(0.9 * 10.0 * 26.0, rel=0.02)
@@ -287,29 +276,29 @@ def test_the_output_is_limited_so_that_the_input_stays_within_its_fuse() -> None
 
 def test_a_boot_resets_everything() -> None:
     bench = Bench().closed()
-    bench.error(PacketType.CONTACTOR, b"\0")
-    bench.send(PacketType.RATE, struct.pack("<f", 60.0))
-    bench.send(PacketType.START)
-    bench.error(PacketType.TARE, wait=0.1)
+    bench.error(protocol.PacketType.CONTACTOR, b"\0")
+    bench.send(protocol.PacketType.RATE, struct.pack("<f", 60.0))
+    bench.send(protocol.PacketType.START)
+    bench.error(protocol.PacketType.TARE, wait=0.1)
     bench.closed()
-    first = decode_hello(bench.packets[0].payload)
+    first = protocol.decode_hello(bench.packets[0].payload)
     assert first[:7] == (1, 2, 10, 10, first.boot_id, 120.0, True)
     assert math.isnan(first.stage_voltage), "the board sets it"
     bench.board.reboot()
     packets = bench.run(0.2)
-    assert packets[0].type == PacketType.HELLO
+    assert packets[0].type == protocol.PacketType.HELLO
     assert (packets[0].sequence, packets[0].device_time_us) == (0, 0)
-    hello = decode_hello(packets[0].payload)
+    hello = protocol.decode_hello(packets[0].payload)
     assert hello.boot_id != first.boot_id
     assert hello.rate == 120.0
     assert not tactile(packets)
-    powers = [p for p in packets if p.type == PacketType.POWER]
+    powers = [p for p in packets if p.type == protocol.PacketType.POWER]
     assert [p.sequence for p in powers] == list(range(len(powers)))
     assert powers[0].device_time_us == pytest.approx(50_000, abs=5000)
-    assert decode_power(powers[0].payload) == Power(26.0, 24.0, 0.0, False, 0, 0.0)
+    assert protocol.decode_power(powers[0].payload) == protocol.Power(26.0, 24.0, 0.0, False, 0, 0.0)
     bench.run(0.02)
     assert bench.close() == 3
-    bench.send(PacketType.START)
+    bench.send(protocol.PacketType.START)
     frame = tactile(bench.run(0.1))[0]
     assert (frame.sequence, frame.flags) == (0, 0)
 
@@ -319,9 +308,9 @@ def test_a_frame_has_the_force_of_every_taxel() -> None:
     bench.plant.left[0, 0] = 5.0
     bench.plant.right[9, 9] = 50.0
     bench.board.set_dead(1, 0, 9)
-    bench.send(PacketType.START)
+    bench.send(protocol.PacketType.START)
     packet = tactile(bench.run(0.1))[-1]
-    left, right = decode_samples(packet.payload)
+    left, right = protocol.decode_samples(packet.payload)
     assert left[0, 0] == pytest.approx(5.0, abs=0.03)
     assert right[9, 9] == 10.0
     assert np.argwhere(np.isnan(right)).tolist() == [[0, 9]]
@@ -331,29 +320,29 @@ def test_a_frame_has_the_force_of_every_taxel() -> None:
 def test_a_tare_is_refused_in_contact_even_if_contact_begins_during_it() -> None:
     bench = Bench()
     bench.plant.press(8.0)
-    assert bench.error(PacketType.TARE) == 4
+    assert bench.error(protocol.PacketType.TARE) == 4
     bench.plant.press(0.0)
-    bench.send(PacketType.TARE)
+    bench.send(protocol.PacketType.TARE)
     bench.run(0.01)
     bench.plant.press(8.0)
     (ack,) = acks(bench.run(0.05))
-    assert (ack.type, ack.error) == (PacketType.TARE, 4)
+    assert (ack.type, ack.error) == (protocol.PacketType.TARE, 4)
     bench.plant.press(0.0)
-    assert bench.error(PacketType.TARE, wait=0.05) == 0
+    assert bench.error(protocol.PacketType.TARE, wait=0.05) == 0
 
 
 def frame(bench: Bench) -> npt.NDArray[np.float32]:
     """Forces of a new frame, (2, 10, 10) N."""
-    bench.send(PacketType.START)
+    bench.send(protocol.PacketType.START)
     packet = tactile(bench.run(0.1))[-1]
-    return np.stack(decode_samples(packet.payload))
+    return np.stack(protocol.decode_samples(packet.payload))
 
 
 def test_a_taxel_dead_during_a_tare_stays_unknown_until_the_next() -> None:
     bench = Bench(offset=0.5, noise=0.0)
     bench.board.set_dead(1, 7, 2)
-    assert bench.error(PacketType.TARE, wait=0.05) == 0
+    assert bench.error(protocol.PacketType.TARE, wait=0.05) == 0
     bench.board.set_dead(1, 7, 2, False)
     assert np.argwhere(np.isnan(frame(bench))).tolist() == [[1, 7, 2]]
-    assert bench.error(PacketType.TARE, wait=0.05) == 0
+    assert bench.error(protocol.PacketType.TARE, wait=0.05) == 0
     assert frame(bench) == pytest.approx(0.0, abs=0.003)

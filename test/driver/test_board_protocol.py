@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The packets of docs/board-link.md: golden bytes, headers, COBS, recovery from wire faults; times and numbers."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import math
@@ -12,16 +10,8 @@ import zlib
 
 import pytest
 
-from deltacharger_core.machine import ChargeLimits
-from deltacharger_core.real_time import RateMeter
+from deltacharger_core import machine, real_time
 from deltacharger_driver.board import protocol
-from deltacharger_driver.board.protocol import (
-    Hello,
-    PacketError,
-    PacketType,
-    Power,
-    check_header,
-)
 from deltacharger_driver.board.receiver import BoardReceiver, BoardRequests, DeviceClock, SequenceUnwrapper
 from deltacharger_driver.packets import CobsError, Packet, PacketDecoder, cobs_decode, cobs_encode, encode_packet
 
@@ -32,17 +22,17 @@ GOLDEN = [
     (Packet(12), "0003010c01010101010101010101010101052073260700"),
     (Packet(3, b"", 5), "000401030501010101010101010101010105d0de0dd700"),
     (
-        Packet(8, protocol.encode_close(ChargeLimits(18.0, 29.4)), 0x1234),
+        Packet(8, protocol.encode_close(machine.ChargeLimits(18.0, 29.4)), 0x1234),
         "00050108341201010101010101010101010201010101010790413333eb41010b4040cdcc4c3e9915839f00",
     ),
     (Packet(8, protocol.encode_limit(5.0), 7), "000401080701010101010101010101010102030107a040459c409600"),
     (Packet(7, protocol.encode_rate(60.0), 1), "000401070101010101010101010101010101010770422bc4337800"),
     (
-        Packet(2, protocol.encode_power(Power(26.5, 24.0, math.nan, True, 0)), 7, 1_500_000),
+        Packet(2, protocol.encode_power(protocol.Power(26.5, 24.0, math.nan, True, 0)), 7, 1_500_000),
         "00040102070460e3160101010101010101010103d4410103c0410104c07f010101010107c07faede622e00",
     ),
     (
-        Packet(3, protocol.encode_hello(Hello(1, 2, 10, 10, 0xDEADBEEF, 120.0, True, 29.4))),
+        Packet(3, protocol.encode_hello(protocol.Hello(1, 2, 10, 10, 0xDEADBEEF, 120.0, True, 29.4))),
         "00030103010101010101010101010101010901020a0aefbeadde0104f042010101093333eb41f838e13f00",
     ),
     (
@@ -80,28 +70,28 @@ def test_memory_is_bounded_without_a_delimiter() -> None:
     for _ in range(1000):
         decoder.feed(b"\1" * 400)
     assert len(decoder._rest) <= 900
-    packet = Packet(PacketType.PING, b"alive")
+    packet = Packet(protocol.PacketType.PING, b"alive")
     assert decoder.feed(encode_packet(packet)) == [packet]
     assert decoder.counters.damaged == 1
 
 
 @pytest.mark.parametrize("at", [14, 15])
 def test_reserved_bytes_of_the_header_must_be_zero(at: int) -> None:
-    body = bytearray(cobs_decode(encode_packet(Packet(PacketType.POWER, bytes(16)))[1:-1])[:-4])
+    body = bytearray(cobs_decode(encode_packet(Packet(protocol.PacketType.POWER, bytes(16)))[1:-1])[:-4])
     body[at] = 1
     decoder = PacketDecoder()
     assert decoder.feed(b"\0" + cobs_encode(bytes(body) + struct.pack("<I", zlib.crc32(body))) + b"\0") == []
     assert (decoder.counters.packets, decoder.counters.damaged) == (0, 1)
 
 
-@pytest.mark.parametrize("type", list(PacketType))
-def test_only_tactile_has_format_and_flags(type: PacketType) -> None:
+@pytest.mark.parametrize("type", list(protocol.PacketType))
+def test_only_tactile_has_format_and_flags(type: protocol.PacketType) -> None:
     for sample_format, flags in itertools.product((0, 2, 3), (0, 3, 4)):
         allowed = sample_format == flags == 0
-        if type is PacketType.TACTILE:
+        if type is protocol.PacketType.TACTILE:
             allowed = sample_format == 2 and flags <= 3
-        with contextlib.nullcontext() if allowed else pytest.raises(PacketError):
-            check_header(Packet(type, flags=flags, format=sample_format))
+        with contextlib.nullcontext() if allowed else pytest.raises(protocol.PacketError):
+            protocol.check_header(Packet(type, flags=flags, format=sample_format))
 
 
 @pytest.mark.parametrize("data", [b"", b"\0", b"\1" * 253, b"\1" * 254, b"\1" * 508, b"\1" * 254 + b"\0", b"\0" * 600])
@@ -133,36 +123,36 @@ def test_impossible_numbers_are_refused() -> None:
     )  # only an open circuit is infinite
     assert all(map(math.isnan, protocol.decode_probe(protocol.encode_probe(math.nan, math.nan))))
     for resistance, voltage in ((-math.inf, 0.0), (25.0, math.inf), (25.0, -math.inf), (math.inf, math.inf)):
-        with pytest.raises(PacketError):
+        with pytest.raises(protocol.PacketError):
             protocol.decode_probe(protocol.encode_probe(resistance, voltage))
     for rate in (math.inf, -math.inf, math.nan, -1.0):
-        with pytest.raises(PacketError):
+        with pytest.raises(protocol.PacketError):
             protocol.decode_rate(protocol.encode_rate(rate))
-        with pytest.raises(PacketError):
-            protocol.decode_hello(protocol.encode_hello(Hello(1, 0, 10, 10, 1, rate)))
+        with pytest.raises(protocol.PacketError):
+            protocol.decode_hello(protocol.encode_hello(protocol.Hello(1, 0, 10, 10, 1, rate)))
 
 
 def bad_packets(time: int) -> list[Packet]:
     """Intact packets with impossible content."""
     return [
-        Packet(PacketType.POWER, spoiled(POWER, 13, b"\x0a"), 1, time),
-        Packet(PacketType.POWER, POWER, 2, time, format=1),
-        Packet(PacketType.HELLO, protocol.encode_hello(Hello(1, 0, 10, 10, 99, math.inf)), 0, time),
-        Packet(PacketType.ACK, b"\1", 0, time),
-        Packet(PacketType.TACTILE, bytes(200), 0, time),
+        Packet(protocol.PacketType.POWER, spoiled(POWER, 13, b"\x0a"), 1, time),
+        Packet(protocol.PacketType.POWER, POWER, 2, time, format=1),
+        Packet(protocol.PacketType.HELLO, protocol.encode_hello(protocol.Hello(1, 0, 10, 10, 99, math.inf)), 0, time),
+        Packet(protocol.PacketType.ACK, b"\1", 0, time),
+        Packet(protocol.PacketType.TACTILE, bytes(200), 0, time),
     ]
 
 
 def test_an_impossible_packet_is_only_counted() -> None:
     powers, boots = [], []
     receiver = BoardReceiver(BoardRequests(), None, powers.append, lambda: boots.append(True))
-    hello = protocol.encode_hello(Hello(1, 0, 10, 10, 7, 120.0))
-    receiver.take_packet(Packet(PacketType.HELLO, hello, 0, 5_000_000), 100.0)
+    hello = protocol.encode_hello(protocol.Hello(1, 0, 10, 10, 7, 120.0))
+    receiver.take_packet(Packet(protocol.PacketType.HELLO, hello, 0, 5_000_000), 100.0)
     for packet in bad_packets(0) + bad_packets(2**63):  # a clock that fell, which is a reboot, and one far ahead
         receiver.take_packet(packet, 100.0)
     assert receiver.snapshot().bad_payloads == 10
     assert (powers, boots, receiver.snapshot().reboots) == ([], [], 0)
-    receiver.take_packet(Packet(PacketType.POWER, POWER, 0, 5_100_000), 100.1)
+    receiver.take_packet(Packet(protocol.PacketType.POWER, POWER, 0, 5_100_000), 100.1)
     assert powers[0].time == pytest.approx(100.1)
     assert receiver.snapshot().lost_power == 0
 
@@ -206,7 +196,7 @@ def test_a_reboot_continues_above_and_counts_missed_packets() -> None:
 
 def test_the_rate_counts_since_the_last_call() -> None:
     clock = Clock()
-    meter = RateMeter(clock)
+    meter = real_time.RateMeter(clock)
     for number in range(50):
         meter.count(late=number % 25 == 0)
     clock.now += 0.5

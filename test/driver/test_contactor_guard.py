@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The guard of the contactor on the emulated board, in virtual time."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import threading
@@ -11,17 +9,8 @@ from collections.abc import Callable
 import pytest
 
 from deltacharger_core.machine import ChargeLimits
+from deltacharger_driver.board import protocol, receiver
 from deltacharger_driver.board.contactor import ContactorGuard, ContactorLease, LeaseRefused
-from deltacharger_driver.board.protocol import (
-    BoardFault,
-    CommandRefused,
-    PacketType,
-    ProbeResult,
-    decode_probe,
-    encode_close,
-    encode_limit,
-)
-from deltacharger_driver.board.receiver import BoardReceiver, BoardRequests
 from deltacharger_driver.errors import NoAnswer
 from deltacharger_sim.emulators.board import BoardEmulator
 
@@ -47,12 +36,12 @@ class Charger:
         self.on_probe: Callable[[], object] = lambda: None
         self.on_keep_alive: Callable[[], object] = lambda: None
         self.guard = ContactorGuard(self, clock=lambda: self.bench.now)  # type: ignore[arg-type]
-        self._receiver = BoardReceiver(
-            BoardRequests(), self.guard.observe_tactile, self.guard.observe_power, self.guard.interrupted
+        self._receiver = receiver.BoardReceiver(
+            receiver.BoardRequests(), self.guard.observe_tactile, self.guard.observe_power, self.guard.interrupted
         )
-        self.bench.send(PacketType.START)
+        self.bench.send(protocol.PacketType.START)
         self.run(0.1)
-        assert self.bench.error(PacketType.TARE, wait=0.05) == 0
+        assert self.bench.error(protocol.PacketType.TARE, wait=0.05) == 0
         self.plant.press(20.0)
         self.run(0.2)
 
@@ -80,7 +69,7 @@ class Charger:
 
     def keep_alive(self, until: float) -> None:
         self.until = until
-        self.bench.send(PacketType.HEARTBEAT)
+        self.bench.send(protocol.PacketType.HEARTBEAT)
         self.on_keep_alive()
 
     def stop_heartbeat(self) -> None:
@@ -88,28 +77,30 @@ class Charger:
 
     def contactor(self, close: bool, limits: ChargeLimits | None = None) -> None:
         self.commands.append(close)
-        self._order(b"\0" if limits is None else encode_close(limits))
+        self._order(b"\0" if limits is None else protocol.encode_close(limits))
 
     def limit_current(self, current: float) -> None:
         self.currents.append(current)
-        self._order(encode_limit(current))
+        self._order(protocol.encode_limit(current))
 
     def clear_weld(self) -> None:
         self._order(b"\2")
 
     def _order(self, payload: bytes) -> None:
-        error = self.bench.error(PacketType.CONTACTOR, payload)
+        error = self.bench.error(protocol.PacketType.CONTACTOR, payload)
         if error:
-            raise CommandRefused(PacketType.CONTACTOR, error)
+            raise protocol.CommandRefused(protocol.PacketType.CONTACTOR, error)
 
-    def probe(self) -> ProbeResult:
+    def probe(self) -> protocol.ProbeResult:
         self.on_probe()
         before = len(self.bench.packets)
-        self.bench.send(PacketType.PROBE)
-        while not (found := [each for each in acks(self.bench.packets[before:]) if each.type == PacketType.PROBE]):
+        self.bench.send(protocol.PacketType.PROBE)
+        while not (
+            found := [each for each in acks(self.bench.packets[before:]) if each.type == protocol.PacketType.PROBE]
+        ):
             self.run(STEP)
         (ack,) = found
-        return ProbeResult(*decode_probe(ack.data), self.bench.now)
+        return protocol.ProbeResult(*protocol.decode_probe(ack.data), self.bench.now)
 
 
 @pytest.fixture
@@ -156,7 +147,7 @@ def test_a_lease_that_is_not_renewed_lapses_in_time_without_a_fault(charger: Cha
     ("spoil", "wait", "word"),
     [
         (lambda charger: charger.plant.press(0.0), 0.3, "contact"),
-        (lambda charger: charger.board.trip(BoardFault.OVER_CURRENT), 0.06, "over current"),
+        (lambda charger: charger.board.trip(protocol.BoardFault.OVER_CURRENT), 0.06, "over current"),
         (lambda charger: charger.guard.interrupted(), 0.0, "power stage"),
         (lambda charger: charger.guard.shut_down(), 0.0, "shutting down"),
     ],
@@ -200,14 +191,14 @@ def test_only_the_token_renews(charger: Charger) -> None:
 
 def test_a_latched_fault_ends_the_lease_and_only_an_open_clears_it(charger: Charger) -> None:
     charger.charge(0.3)
-    charger.board.trip(BoardFault.REVERSE_CURRENT)
+    charger.board.trip(protocol.BoardFault.REVERSE_CURRENT)
     charger.run(0.06)
     assert (charger.guard.remaining(), charger.until) == (math.inf, -math.inf)
     with pytest.raises(LeaseRefused, match="reverse current"):
         charger.close()
     charger.run(0.4)  # a lapse would have opened by now, which clears the fault
     assert charger.guard.shut_down()  # nor does the end of the driver
-    assert charger.board.fault == BoardFault.REVERSE_CURRENT
+    assert charger.board.fault == protocol.BoardFault.REVERSE_CURRENT
     charger.guard.open()
     charger.run(0.1)
     assert charger.bench.power().fault == 0
@@ -275,7 +266,7 @@ def test_an_interruption_while_charging_ends_the_lease(charger: Charger, reboots
     assert (charger.guard.remaining(), charger.until) == (math.inf, -math.inf)
     charger.run(0.3)
     assert not charger.is_closed
-    charger.bench.send(PacketType.START)
+    charger.bench.send(protocol.PacketType.START)
     charger.run(0.2)
     with pytest.raises(LeaseRefused):
         charger.close()
@@ -283,7 +274,7 @@ def test_an_interruption_while_charging_ends_the_lease(charger: Charger, reboots
 
 def test_an_opening_during_a_close_refuses_it_and_ends_the_heartbeat(charger: Charger) -> None:
     def trip() -> None:
-        charger.board.trip(BoardFault.OVER_CURRENT)
+        charger.board.trip(protocol.BoardFault.OVER_CURRENT)
         charger.run(0.06)
         charger.on_keep_alive = lambda: None
 

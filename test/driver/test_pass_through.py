@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """One cable for servos and pads: bytes pass the board unchanged, and faults behind it are reported."""
 
-from __future__ import annotations
-
 import random
 from pathlib import Path
 from typing import Any
@@ -13,8 +11,7 @@ from deltacharger.msg import ServoState
 from deltacharger_core import runtime
 from deltacharger_core.environment import domain
 from deltacharger_core.ros.node_support import StartupError
-from deltacharger_driver.board.protocol import LONGEST_SERVO
-from deltacharger_driver.board.tactile_node import TactileNode
+from deltacharger_driver.board import protocol, tactile_node
 from deltacharger_driver.ports import open_serial
 from deltacharger_driver.servos import servo_node
 from deltacharger_driver.servos.servo_node import ServoNode
@@ -33,7 +30,7 @@ pytestmark = pytest.mark.ros
 def test_bytes_pass_unchanged(kind: type[BehindEmulator]) -> None:
     echo, source = Babbler(), random.Random(24)
     with kind(echo) as terminal, open_serial(terminal.path, 1_000_000) as line:
-        for size in (1, 10, LONGEST_SERVO, LONGEST_SERVO + 1, 1000):
+        for size in (1, 10, protocol.LONGEST_SERVO, protocol.LONGEST_SERVO + 1, 1000):
             sent, back = source.randbytes(size), bytearray()
             line.write(sent)
             wait_until(lambda back=back, size=size: back.extend(line.read(4096)) or len(back) >= size)
@@ -44,7 +41,7 @@ def test_bytes_pass_unchanged(kind: type[BehindEmulator]) -> None:
 
 @pytest.mark.witness
 def test_both_nodes_on_one_cable(context: Any, namespace: str, spin: Any, one_cable: str) -> None:
-    spin(TactileNode(**options(context, namespace, port=one_cable)))
+    spin(tactile_node.TactileNode(**options(context, namespace, port=one_cable)))
     node = spin(ServoNode(**options(context, namespace, port="board", rate=60.0, reply_margin=PATIENT_MARGIN)))
     states: list[ServoState] = []
     node.create_subscription(ServoState, "servo_state", states.append, 10)

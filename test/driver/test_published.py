@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the driver publishes is what it measured, field by field and message by message; batteries too."""
 
-from __future__ import annotations
-
 import math
 import time
 from types import SimpleNamespace
@@ -16,10 +14,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import BatteryState
 
 from deltacharger_core.ros.messages import seconds
-from deltacharger_driver.board.protocol import Power, PowerSample, TactileSample
-from deltacharger_driver.board.tactile_node import SamplePublishers, own_battery, target_battery
-from deltacharger_driver.servos.bus import ServoReport
-from deltacharger_driver.servos.servo_node import StatePublishers
+from deltacharger_driver.board import protocol, tactile_node
+from deltacharger_driver.servos import bus, servo_node
 
 pytestmark = [pytest.mark.ros, pytest.mark.version]
 
@@ -51,17 +47,17 @@ def node() -> Any:
     return Kept()
 
 
-def report(first: float) -> ServoReport:
+def report(first: float) -> bus.ServoReport:
     numbers = np.arange(first, first + 30.0).astype(np.float32).reshape(10, 3)
     rows = [tuple(map(float, row)) for row in numbers[:6]]
     small = [tuple(map(int, row)) for row in numbers[6:8]]
     flags = (True, False, first > 0.0)
-    found = ServoReport(time.monotonic(), flags[::-1], *rows[:5], small[0], flags)  # type: ignore[arg-type]
+    found = bus.ServoReport(time.monotonic(), flags[::-1], *rows[:5], small[0], flags)  # type: ignore[arg-type]
     return found._replace(thermal_reserve=rows[5], stray=small[1])
 
 
 def test_servo_state_and_joint_states_show_each_report(node: Any) -> None:
-    publishers = StatePublishers(node, QoSProfile(depth=1), "charger_base", "left_")
+    publishers = servo_node.StatePublishers(node, QoSProfile(depth=1), "charger_base", "left_")
     unknown = report(5.0)._replace(angle=(math.nan, 0.0, 0.0))
     for each in (report(0.0), report(90.0), unknown):
         publishers.publish(each, 2.0)
@@ -79,18 +75,18 @@ def test_servo_state_and_joint_states_show_each_report(node: Any) -> None:
 
 
 def test_tactile_frame_and_charger_power_show_each_sample(node: Any) -> None:
-    publishers = SamplePublishers(node, QoSProfile(depth=1), "end_effector")
+    publishers = tactile_node.SamplePublishers(node, QoSProfile(depth=1), "end_effector")
     for number, tared in ((7, True), (2**40, False)):
         pads = np.arange(number % 97, number % 97 + 200, dtype=np.float32).reshape(2, 10, 10)
         pads[1, 3, 4] = math.nan
-        sample = TactileSample(time.monotonic(), number, number + 1, pads, tared, overrun=False)
+        sample = protocol.TactileSample(time.monotonic(), number, number + 1, pads, tared, overrun=False)
         publishers.frame(sample)
         frame = node.received["tactile_frame"][-1]
         assert (frame.rows, frame.columns, frame.header.frame_id) == (10, 10, "end_effector")
         assert (frame.sequence, frame.device_time_us, frame.tared) == (number, number + 1, tared)
         np.testing.assert_array_equal([frame.left, frame.right], pads.reshape(2, 100))
-        power = Power(25.0, 24.0, math.nan, tared, 7 if tared else 0, -0.5)
-        publishers.power(PowerSample(time.monotonic(), power), 470.0, math.inf, (not tared, 29.5))
+        power = protocol.Power(25.0, 24.0, math.nan, tared, 7 if tared else 0, -0.5)
+        publishers.power(protocol.PowerSample(time.monotonic(), power), 470.0, math.inf, (not tared, 29.5))
         message = node.received["charger_power"][-1]
         assert_same(
             message, power, ("battery_voltage", "target_voltage", "charge_current", "contactor_closed", "fault")
@@ -106,8 +102,10 @@ NOT_CHARGING = BatteryState.POWER_SUPPLY_STATUS_NOT_CHARGING
 NAN = math.nan
 
 
-def sample(battery: float = 26.0, target: float = 24.0, current: float = 0.0, closed: bool = False) -> PowerSample:
-    return PowerSample(1.0, Power(battery, target, current, closed, 0))
+def sample(
+    battery: float = 26.0, target: float = 24.0, current: float = 0.0, closed: bool = False
+) -> protocol.PowerSample:
+    return protocol.PowerSample(1.0, protocol.Power(battery, target, current, closed, 0))
 
 
 @pytest.mark.parametrize(
@@ -122,15 +120,15 @@ def sample(battery: float = 26.0, target: float = 24.0, current: float = 0.0, cl
         (sample(battery=NAN, current=10.0, closed=True), UNKNOWN, CHARGING),
     ],
 )
-def test_the_status_follows_the_measured_current(power: PowerSample | None, own: int, target: int) -> None:
-    assert own_battery(power).power_supply_status == own
-    assert target_battery(power).power_supply_status == target
+def test_the_status_follows_the_measured_current(power: protocol.PowerSample | None, own: int, target: int) -> None:
+    assert tactile_node.own_battery(power).power_supply_status == own
+    assert tactile_node.target_battery(power).power_supply_status == target
 
 
 def test_unmeasured_values_are_unknown() -> None:
     power = sample(current=10.0, closed=True)
-    for battery in (own_battery(power), target_battery(power)):
+    for battery in (tactile_node.own_battery(power), tactile_node.target_battery(power)):
         for name in ("temperature", "charge", "capacity", "design_capacity", "percentage"):
             assert math.isnan(getattr(battery, name)), name
         assert battery.power_supply_health == battery.power_supply_technology == UNKNOWN
-    assert math.isnan(own_battery(power).current), "it feeds servos and computer, too"
+    assert math.isnan(tactile_node.own_battery(power).current), "it feeds servos and computer, too"

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The servo bus: every servo is configured or reported with all its faults; torque, goals and faults."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,19 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The servo controller: torque, trajectories, stops on faults, and the contactor that opens before torque goes off."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 
 import pytest
 
-from deltacharger_core.machine import TORQUE_CONSTANT
-from deltacharger_core.servo_types import MX_64
+from deltacharger_core import machine, servo_types
 from deltacharger_driver.errors import TrajectoryRefused
-from deltacharger_driver.servos.bus import ServoPhase, ServoReport
-from deltacharger_driver.servos.controller import OPENING_TIME
-from deltacharger_driver.servos.registers import TICK
+from deltacharger_driver.servos import bus, controller, registers
 
 from ..waiting import host
 from .servo_rig import DEFAULT, START, Rig
@@ -32,11 +27,11 @@ def test_torque_on_holds_and_off_releases(rig: Rig) -> None:
     rig.torque_on()
     rig.cycle()
     assert rig.arm.torque_enabled() == [True] * 3
-    assert rig.references() == pytest.approx(list(START), abs=TICK)
+    assert rig.references() == pytest.approx(list(START), abs=registers.TICK)
     assert rig.ask("torque_on").success
     assert rig.ask("torque_off").success
     assert rig.arm.torque_enabled() == [False] * 3
-    assert rig.cycle().phase is ServoPhase.OFF
+    assert rig.cycle().phase is bus.ServoPhase.OFF
 
 
 def test_an_order_that_waited_too_long_is_refused_with_its_age(rig: Rig) -> None:
@@ -74,7 +69,7 @@ def test_reboot_is_refused_with_torque_and_while_the_cause_persists(rig: Rig) ->
     rig.torque_on()
     assert not rig.ask("reboot").success
     rig.arm.temperature[0] = 85.0
-    rig.until(lambda report: report.hardware_error[0] and report.phase is ServoPhase.OFF)
+    rig.until(lambda report: report.hardware_error[0] and report.phase is bus.ServoPhase.OFF)
     request = rig.ask("reboot")
     assert not request.success
     assert "overheating" in request.message
@@ -118,7 +113,7 @@ def test_a_contactor_that_stays_closed_does_not_keep_the_torque_on(rig: Rig) -> 
     request = rig.ask("torque_off")
     assert request.success
     assert "contactor" in request.message
-    assert rig.clock() - begin >= OPENING_TIME
+    assert rig.clock() - begin >= controller.OPENING_TIME
     assert rig.arm.torque_enabled() == [False] * 3
     assert any(severity == "warning" for severity, _ in rig.events)
 
@@ -130,15 +125,15 @@ def shifted(by: float) -> tuple[float, ...]:
 def test_effort_bounds_the_current_and_does_not_outlive_its_trajectory(rig: Rig) -> None:
     rig.torque_on()
     for rows, bounds in (
-        ([(0.0, START, (2.8 * TORQUE_CONSTANT,) * 3)], [2.8] * 3),
+        ([(0.0, START, (2.8 * machine.TORQUE_CONSTANT,) * 3)], [2.8] * 3),
         ([], [DEFAULT] * 3),
-        ([(0.0, START, (0.3, 0.0, 0.3))], [0.3 / TORQUE_CONSTANT, 0.0, 0.3 / TORQUE_CONSTANT]),
-        ([], [0.3 / TORQUE_CONSTANT, 0.0, 0.3 / TORQUE_CONSTANT]),  # a hold never raises the bound
+        ([(0.0, START, (0.3, 0.0, 0.3))], [0.3 / machine.TORQUE_CONSTANT, 0.0, 0.3 / machine.TORQUE_CONSTANT]),
+        ([], [0.3 / machine.TORQUE_CONSTANT, 0.0, 0.3 / machine.TORQUE_CONSTANT]),  # a hold never raises the bound
         ([(0.0, START)], [DEFAULT] * 3),
     ):
         rig.send(*rows)
         rig.cycle()
-        assert rig.bounds() == pytest.approx(bounds, abs=MX_64.current_unit)
+        assert rig.bounds() == pytest.approx(bounds, abs=servo_types.MX_64.current_unit)
 
 
 def test_after_a_pause_of_the_host_the_arm_resumes_from_where_it_stopped(rig: Rig) -> None:
@@ -152,17 +147,17 @@ def test_after_a_pause_of_the_host_the_arm_resumes_from_where_it_stopped(rig: Ri
     stopped = rig.arm.angles
     rig.cycle()
     assert rig.references() == pytest.approx(list(stopped), abs=0.05)
-    assert rig.report.phase is ServoPhase.ON
-    rig.until(lambda report: report.angle == pytest.approx(FAR, abs=3 * TICK))
+    assert rig.report.phase is bus.ServoPhase.ON
+    rig.until(lambda report: report.angle == pytest.approx(FAR, abs=3 * registers.TICK))
 
 
 def test_repeated_pauses_of_the_host_stop_the_arm(rig: Rig) -> None:
     rig.torque_on()
     for _ in range(3):
-        assert rig.report.phase is ServoPhase.ON
+        assert rig.report.phase is bus.ServoPhase.ON
         rig.pause()
         rig.cycle()
-    assert rig.report.phase is ServoPhase.STOPPING
+    assert rig.report.phase is bus.ServoPhase.STOPPING
     assert any("overloaded" in sentence for _, sentence in rig.events)
 
 
@@ -174,10 +169,10 @@ def test_a_line_sent_in_pieces_is_followed_like_one_message_and_its_end_is_held(
     def line(at: float) -> float:
         return 0.5 * min(max(at / 0.6, 0.0), 1.0)
 
-    def feed(report: ServoReport) -> bool:
+    def feed(report: bus.ServoReport) -> bool:
         now = rig.clock() - begin
         rig.send(*((now + 0.02 * step, shifted(line(now + 0.02 * step))) for step in range(1, 7)), start=begin)
-        if report.phase is ServoPhase.ON and rig.references()[0] != pytest.approx(START[0]):
+        if report.phase is bus.ServoPhase.ON and rig.references()[0] != pytest.approx(START[0]):
             errors.append(abs(rig.references()[0] - START[0] - line(now)))
         return now > 0.5
 
@@ -186,7 +181,7 @@ def test_a_line_sent_in_pieces_is_followed_like_one_message_and_its_end_is_held(
     assert sorted(errors)[len(errors) // 2] < 0.02
     assert max(errors) < host(0.06) / 0.6 * 0.5  # the line's way during a pause of this computer
     rig.until(lambda report: rig.clock() - begin > 1.0)  # the feed has ended
-    assert rig.references() == pytest.approx(list(shifted(0.5)), abs=TICK)
+    assert rig.references() == pytest.approx(list(shifted(0.5)), abs=registers.TICK)
 
 
 @pytest.mark.parametrize(("times", "late"), [((0.1, 0.2), 0.3), ((0.0, 2.0), 0.01)], ids=["all past", "one due"])
@@ -196,7 +191,7 @@ def test_a_point_in_the_past_is_reached_at_once(rig: Rig, times: tuple[float, fl
     rig.send((times[0], first), (times[1], shifted(0.05)), start=rig.clock() - late)
     rig.cycle()
     rig.cycle()
-    assert rig.references() == pytest.approx(list(shifted(0.05)), abs=TICK)
+    assert rig.references() == pytest.approx(list(shifted(0.05)), abs=registers.TICK)
 
 
 def keep_place(rig: Rig) -> None:
@@ -222,12 +217,12 @@ def test_a_servo_that_stays_behind_stops_the_arm_whatever_its_current(rig: Rig, 
     fail(rig)
     began = rig.clock()
     rig.send((0.6, FAR))
-    rig.until(lambda report: report.phase is ServoPhase.STOPPING)
+    rig.until(lambda report: report.phase is bus.ServoPhase.STOPPING)
     assert "servo 2 is farther from its goal" in rig.controller.stop_reason
     assert rig.clock() - began < 0.4
     others = [abs(angle - start) for angle, start in zip(rig.arm.angles, START, strict=True) if start != START[1]]
     assert max(others) < 0.6, "nor does it drive the others on"
-    rig.until(lambda report: report.phase is ServoPhase.OFF)
+    rig.until(lambda report: report.phase is bus.ServoPhase.OFF)
 
 
 def test_a_trajectory_faster_than_the_joints_is_refused(rig: Rig) -> None:
@@ -239,4 +234,4 @@ def test_a_trajectory_faster_than_the_joints_is_refused(rig: Rig) -> None:
     with pytest.raises(TrajectoryRefused):  # nor may it jump again and again
         rig.send((0.0, shifted(1.0)))
     rig.send((0.3, shifted(1.0)))
-    rig.until(lambda report: report.angle == pytest.approx(shifted(1.0), abs=3 * TICK))
+    rig.until(lambda report: report.angle == pytest.approx(shifted(1.0), abs=3 * registers.TICK))

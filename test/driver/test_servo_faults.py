@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the driver makes of every fault of emulated servos, in virtual time."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from types import SimpleNamespace
@@ -10,8 +8,7 @@ from typing import Any
 
 import pytest
 
-from deltacharger_driver.servos.bus import ServoPhase, ServoReport
-from deltacharger_driver.servos.controller import bus_entry
+from deltacharger_driver.servos import bus, controller
 from deltacharger_sim.charger.faults import Fault, Faults, Hardware
 
 from ..sim.fault_table import LEASE, SERVO_ROWS, Row
@@ -26,9 +23,9 @@ def test_every_fault_stops_a_moving_arm_by_its_rules_or_is_borne(rig: Rig, row: 
     faults = Faults((), Hardware(rig.emulator, cable, cable, cable, cable), rig.clock)
     told: list[str] = []
 
-    def until(condition: Callable[[ServoReport], object]) -> None:
-        def watch(report: ServoReport) -> object:
-            _, message, found = bus_entry(report, rig.controller)
+    def until(condition: Callable[[bus.ServoReport], object]) -> None:
+        def watch(report: bus.ServoReport) -> object:
+            _, message, found = controller.bus_entry(report, rig.controller)
             told.append(f"{message} {report.faults}")
             values.update(found)
             return condition(report)
@@ -44,7 +41,7 @@ def test_every_fault_stops_a_moving_arm_by_its_rules_or_is_borne(rig: Rig, row: 
     if not row.torque_off:
         before = rig.references()[0]
         until(lambda report: rig.clock() > began + 2.0)
-        assert rig.report.phase is ServoPhase.ON
+        assert rig.report.phase is bus.ServoPhase.ON
         assert rig.references()[0] > before + 0.1, "the motion goes on"
         assert not rig.requests
         assert not row.counted or int(values[row.counted]) > count
@@ -54,7 +51,7 @@ def test_every_fault_stops_a_moving_arm_by_its_rules_or_is_borne(rig: Rig, row: 
     assert rig.requests[0] - began <= noticed + 0.05
     for servo in row.unknown:
         until(lambda report, servo=servo: math.isnan(report.angle[servo - 1]))  # type: ignore[misc]
-    until(lambda report: report.phase in (ServoPhase.OFF, ServoPhase.DISCONNECTED))
+    until(lambda report: report.phase in (bus.ServoPhase.OFF, bus.ServoPhase.DISCONNECTED))
     for servo, on in enumerate(rig.torque_when_opened or [], 1):  # unknown if nothing answers any more
         assert on or servo in row.at_once
     assert not any(on for servo, on in enumerate(rig.arm.torque_enabled(), 1) if servo not in row.deaf)
@@ -63,7 +60,7 @@ def test_every_fault_stops_a_moving_arm_by_its_rules_or_is_borne(rig: Rig, row: 
     faults.clear()
     until(lambda report: all(report.valid) and not any(rig.arm.torque_enabled()))
     for _ in range(50):
-        assert rig.cycle().phase is ServoPhase.OFF
+        assert rig.cycle().phase is bus.ServoPhase.OFF
         assert not any(rig.arm.torque_enabled()), "torque does not return by itself"
     if row.recovery:
         assert not rig.ask("torque_on").success

@@ -4,8 +4,6 @@
 Its rules are tested in virtual time: test_servo_controller*.py and test_trajectory_inbox.py.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import signal
@@ -26,9 +24,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from deltacharger_core.machine import JOINTS
 from deltacharger_core.ros.node_support import StartupError
 from deltacharger_driver.ports import PseudoTerminal
-from deltacharger_driver.servos.motion import ContactorState
-from deltacharger_driver.servos.registers import TICK
-from deltacharger_driver.servos.servo_node import ServoNode
+from deltacharger_driver.servos import motion, registers, servo_node
 from deltacharger_sim.emulators.servo_bus import ServoBusEmulator
 
 from ..chargers import Spin, new_namespace, patience
@@ -115,7 +111,9 @@ class Servos:
     def __init__(self, context: Any, path: str, arm: BenchArm, spin: Spin) -> None:
         self.arm, self.context, self.serve = arm, context, spin
         self.namespace = new_namespace()
-        self.node = spin(ServoNode(**options(context, self.namespace, port=path, reply_margin=PATIENT_MARGIN)))
+        self.node = spin(
+            servo_node.ServoNode(**options(context, self.namespace, port=path, reply_margin=PATIENT_MARGIN))
+        )
         self.client: Client = spin(Client(context, self.namespace))
         wait_until(lambda: self.client.states and self.client.trajectories.get_subscription_count())
 
@@ -123,7 +121,7 @@ class Servos:
         return [command[1] for command in self.arm.commands]
 
     def are_at(self, angles: Any) -> None:
-        wait_until(lambda: self.goals() == pytest.approx(list(angles), abs=TICK), f"goals {angles}")
+        wait_until(lambda: self.goals() == pytest.approx(list(angles), abs=registers.TICK), f"goals {angles}")
 
 
 @contextlib.contextmanager
@@ -146,29 +144,29 @@ def test_while_the_contactor_is_closed_the_arm_stands_still_and_keeps_its_torque
         stranger = spin(Client(context, servos.namespace, "stranger"))
         wait_until(lambda: stage.powers.get_subscription_count() and stranger.trajectories.get_subscription_count())
 
-        def becomes(state: ContactorState) -> None:
+        def becomes(state: motion.ContactorState) -> None:
             wait_until(lambda: servos.node._contactor_state is state, state.name)
 
         assert servos.client.reports_health()
         assert call(servos.client.reboot, Trigger.Request()).success
         assert servos.client.set_torque(True).success
-        becomes(ContactorState.OPEN)
+        becomes(motion.ContactorState.OPEN)
         servos.client.send((180.0, [angle + 0.4 for angle in START]))  # longer than any wait
-        wait_until(lambda: servos.goals()[0] > START[0] + TICK, "a running line")
+        wait_until(lambda: servos.goals()[0] > START[0] + registers.TICK, "a running line")
         stage.closed = True
-        becomes(ContactorState.CLOSED)
+        becomes(motion.ContactorState.CLOSED)
         wait_until(lambda: not servos.node._controller._goals.are_moving, "the hold")
         held = servos.goals()
         stranger.send((0.0, HIGHER))
-        wait_until(lambda: stranger.reports(ContactorState.CLOSED.value), "a refusal")
+        wait_until(lambda: stranger.reports(motion.ContactorState.CLOSED.value), "a refusal")
         assert servos.goals() == held
         stage.closed = False
-        becomes(ContactorState.OPEN)
+        becomes(motion.ContactorState.OPEN)
         assert not servos.node._controller._goals.are_moving  # nor does it continue
         stranger.send((0.0, START))
         servos.are_at(START)
         stage.closed = True
-        becomes(ContactorState.CLOSED)
+        becomes(motion.ContactorState.CLOSED)
         assert servos.client.set_torque(False).success
         assert stage.torque_when_opened == [True] * 3  # it opens before the torque goes
         assert not stage.closed
@@ -177,7 +175,7 @@ def test_while_the_contactor_is_closed_the_arm_stands_still_and_keeps_its_torque
 
 def test_a_wrong_configuration_stops_the_start_with_a_reason(context: Any, terminal: PseudoTerminal) -> None:
     with pytest.raises(StartupError, match="no id twice"):
-        ServoNode(**options(context, port=terminal.path, ids=[1, 1, 2]))
+        servo_node.ServoNode(**options(context, port=terminal.path, ids=[1, 1, 2]))
 
 
 @pytest.mark.witness

@@ -4,8 +4,6 @@
 docs/servos.md lists the traps.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import struct
@@ -17,9 +15,7 @@ from unittest.mock import Mock
 import pytest
 
 from deltacharger_core.servo_types import MX_64
-from deltacharger_driver.errors import CorruptReply, NoAnswer, PortGone, RangeError
-from deltacharger_driver.packets import sync_write_packet
-from deltacharger_driver.ports import PseudoTerminal
+from deltacharger_driver import errors, packets, ports
 from deltacharger_driver.servos.bus import UNKNOWN_AFTER, ServoBus, ServoReport
 from deltacharger_driver.servos.link import ServoLink
 from deltacharger_driver.servos.registers import REGISTERS, decode_block, has_restarted
@@ -31,7 +27,7 @@ STUFFING = bytes.fromhex("fffffd01fffdfd00")
 
 
 @pytest.fixture
-def wired(terminal: PseudoTerminal) -> Iterator[ServoLink]:
+def wired(terminal: ports.PseudoTerminal) -> Iterator[ServoLink]:
     """On a real pseudo-terminal."""
     link = ServoLink(terminal.path, 1_000_000)
     link.open()
@@ -53,7 +49,7 @@ def test_a_late_reply_never_answers_another_question(link: ServoLink, emulator: 
         try:
             assert link.read(1, "temperature") == 30
             assert link.read(1, "secondary_id") == 255  # as long: only waiting tells it from the other
-        except NoAnswer:
+        except errors.NoAnswer:
             continue
     emulator.faults.delay = 0.0
     assert link.read(1, "temperature") == 30
@@ -76,19 +72,19 @@ def test_waiting_costs_little_processor_time_and_ignores_the_wall_clock(
     monkeypatch.setattr(time, "time", lambda: 1.0)
     read = Mock(wraps=wired._handler.readPort)
     monkeypatch.setattr(wired._handler, "readPort", read)
-    with pytest.raises(NoAnswer):
+    with pytest.raises(errors.NoAnswer):
         wired.ping(1)
     assert 0 < read.call_count < 5  # it does not poll
 
 
-def test_a_pulled_cable_is_one_error_and_the_port_opens_again(wired: ServoLink, terminal: PseudoTerminal) -> None:
+def test_a_pulled_cable_is_one_error_and_the_port_opens_again(wired: ServoLink, terminal: ports.PseudoTerminal) -> None:
     assert wired.ping(1) == 311
     terminal.stop()
     for _ in range(3):
-        with pytest.raises(PortGone):
+        with pytest.raises(errors.PortGone):
             wired.ping(1)
-        with pytest.raises(PortGone):
-            wired.send(sync_write_packet(116, 4, [(1, bytes(4))]))
+        with pytest.raises(errors.PortGone):
+            wired.send(packets.sync_write_packet(116, 4, [(1, bytes(4))]))
     terminal.start()
     wired.close()
     with contextlib.closing(ServoLink(terminal.path, 1_000_000)) as again:
@@ -119,7 +115,7 @@ def cycle_until(bus: ServoBus, condition: Any) -> ServoReport:
     [({"watchdog": 254}, "bus_watchdog"), ({"level": 1}, "status_return_level"), ({"registered": 1}, "registered")],
 )
 def test_an_impossible_value_is_refused_by_name(changed: dict[str, int], name: str) -> None:
-    with pytest.raises(RangeError) as caught:
+    with pytest.raises(errors.RangeError) as caught:
         decode_block(block(**changed), MX_64)
     assert caught.value.name == name
     assert not has_restarted(block(**changed))
@@ -181,7 +177,7 @@ def test_under_any_noise_a_value_is_right_or_missing(bus: ServoBus, emulator: Se
         try:
             assert bus._link.read(2, "input_voltage") == 120
             good += 1
-        except (NoAnswer, CorruptReply):
+        except (errors.NoAnswer, errors.CorruptReply):
             continue
     assert good > 25
     emulator.faults.rate.clear()

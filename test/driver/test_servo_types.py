@@ -5,8 +5,6 @@ Every row is driven over its own bytes: here mostly in virtual time, in contract
 nothing else than its row in deltacharger_core/servo_types.py and its figures here.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 from typing import Any
@@ -16,12 +14,9 @@ import pytest
 
 from deltacharger_core import machine
 from deltacharger_core.servo_types import MX_64, TYPES, XM430_W350, ServoType
-from deltacharger_driver.errors import HandshakeError, RangeError
-from deltacharger_driver.ports import PseudoTerminal
-from deltacharger_driver.servos import registers
+from deltacharger_driver import errors, ports
+from deltacharger_driver.servos import controller, registers
 from deltacharger_driver.servos.bus import ServoBus
-from deltacharger_driver.servos.controller import ThermalModel, reserve
-from deltacharger_driver.servos.registers import REGISTERS, BusSettings, current_to_counts, registers_of
 from deltacharger_sim.emulators.servo_bus import ServoBusEmulator
 
 from ..plants import BenchArm
@@ -42,11 +37,11 @@ def test_the_mx_64_has_the_constants_of_the_papers_machine() -> None:
     assert MX_64.damping_per_gain == machine.DAMPING_PER_GAIN
     assert (MX_64.current_bound, MX_64.joint_speed) == (machine.CURRENT_BOUND, machine.JOINT_SPEED) == (0.83, 4.9)
     assert MX_64.largest_current == pytest.approx(6.52, abs=0.01)
-    assert registers_of(MX_64) == REGISTERS
+    assert registers.registers_of(MX_64) == registers.REGISTERS
 
 
 def test_the_xm430_has_the_figures_of_its_e_manual() -> None:
-    table = registers_of(XM430_W350)
+    table = registers.registers_of(XM430_W350)
     assert XM430_W350.torque_constant == pytest.approx(1.783, abs=1e-3)
     assert XM430_W350.largest_current == pytest.approx(3.209, abs=1e-3)
     assert (table["current_limit"].default, table["goal_current"].low, table["pwm_limit"].default) == (1193, -1193, 885)
@@ -56,24 +51,26 @@ def test_the_xm430_has_the_figures_of_its_e_manual() -> None:
         800,
         1020,
     )
-    assert REGISTERS.keys() - table.keys() == {"acceleration_limit"}
-    places = {name: (register.address, register.size, register.signed) for name, register in REGISTERS.items()}
+    assert registers.REGISTERS.keys() - table.keys() == {"acceleration_limit"}
+    places = {
+        name: (register.address, register.size, register.signed) for name, register in registers.REGISTERS.items()
+    }
     assert all(places[name] == (each.address, each.size, each.signed) for name, each in table.items())
-    assert [current_to_counts(sign * 0.5, XM430_W350) for sign in (1, -1)] == [185, -185]
-    assert [current_to_counts(sign * 0.5, MX_64) for sign in (1, -1)] == [148, -148]
+    assert [registers.current_to_counts(sign * 0.5, XM430_W350) for sign in (1, -1)] == [185, -185]
+    assert [registers.current_to_counts(sign * 0.5, MX_64) for sign in (1, -1)] == [148, -148]
 
 
 @KINDS
 def test_every_type_is_as_stiff_as_the_others_and_never_hotter_than_its_row_says(kind: ServoType) -> None:
     assert kind.gains[0] * kind.stiffness_per_gain == pytest.approx(machine.SERVO_STIFFNESS, rel=2e-3)
     assert kind.gains[1] * kind.damping_per_gain == pytest.approx(machine.SERVO_DAMPING, rel=2e-3)
-    assert reserve(0.0, kind.heat_current, kind) == pytest.approx(kind.heat_time)
-    assert reserve(0.0, 0.99 * math.sqrt(kind.heat_limit / kind.heat_constant), kind) == math.inf
-    hot = ThermalModel(kind)
+    assert controller.reserve(0.0, kind.heat_current, kind) == pytest.approx(kind.heat_time)
+    assert controller.reserve(0.0, 0.99 * math.sqrt(kind.heat_limit / kind.heat_constant), kind) == math.inf
+    hot = controller.ThermalModel(kind)
     hot.start_at(kind.temperature_limit)
     hot.update(0.1, 0.0)
     assert hot.reserve() == 0.0
-    assert reserve(0.0, 0.5, XM430_W350) < reserve(0.0, 0.8, MX_64)
+    assert controller.reserve(0.0, 0.5, XM430_W350) < controller.reserve(0.0, 0.8, MX_64)
 
 
 @KINDS
@@ -108,8 +105,8 @@ def test_a_torque_becomes_a_current_by_the_types_constant_unless_one_is_set(
 
 @pytest.mark.parametrize(("kind", "allowed"), [(MX_64, True), (XM430_W350, False)])
 def test_a_bound_beyond_the_types_registers_is_refused_at_the_set_up(line: Any, allowed: bool) -> None:
-    bus = ServoBus(BusSettings(line.path, current_max=4.0), line.handler)
-    with contextlib.nullcontext() if allowed else pytest.raises(RangeError):
+    bus = ServoBus(registers.BusSettings(line.path, current_max=4.0), line.handler)
+    with contextlib.nullcontext() if allowed else pytest.raises(errors.RangeError):
         bus.open()
     bus.close()
 
@@ -117,7 +114,9 @@ def test_a_bound_beyond_the_types_registers_is_refused_at_the_set_up(line: Any, 
 @XM430
 def test_a_mixture_is_refused_by_name(closed: ServoBus, arm: BenchArm, emulator: ServoBusEmulator) -> None:
     emulator.servo(2).table.set("model", 311)
-    with pytest.raises(HandshakeError, match=r"servo 2 is MX-64 \(311\), not XM430-W350 \(1020\) as servo 1") as caught:
+    with pytest.raises(
+        errors.HandshakeError, match=r"servo 2 is MX-64 \(311\), not XM430-W350 \(1020\) as servo 1"
+    ) as caught:
         closed.open()
     assert len(caught.value.faults) == 1
     assert arm.torque_enabled() == [False] * 3
@@ -131,7 +130,7 @@ def test_servo_node_shows_and_uses_the_types_values_unless_they_are_given(contex
     from ..nodes import options
 
     emulator = ServoBusEmulator(BenchArm(START), kind=XM430_W350)
-    with PseudoTerminal(emulator) as terminal:
+    with ports.PseudoTerminal(emulator) as terminal:
         emulator.line_speed = terminal.speed
         node = ServoNode(**options(context, port=terminal.path, reply_margin=PATIENT_MARGIN, **given))
         names = ("torque_constant", "position_p_gain", "position_d_gain", "current_max")
@@ -148,7 +147,7 @@ def test_no_two_registers_overlap() -> None:
     taken: dict[int, str] = {}
     blocks = {f"indirect address {n}": (registers.indirect_address(n), 2) for n in range(56)}
     blocks |= {f"indirect data {n}": (registers.indirect_data(n), 1) for n in range(56)}
-    blocks |= {name: (register.address, register.size) for name, register in REGISTERS.items()}
+    blocks |= {name: (register.address, register.size) for name, register in registers.REGISTERS.items()}
     for name, (address, size) in blocks.items():
         for place in range(address, address + size):
             assert place not in taken, f"{name} overlaps {taken[place]}"
@@ -177,7 +176,7 @@ def test_a_bound_is_never_rounded_up(kind: ServoType) -> None:
 
 @pytest.mark.parametrize("current", [0.7, 3.0])
 def test_the_model_reaches_the_limit_when_predicted(current: float) -> None:
-    model = ThermalModel(MX_64)
+    model = controller.ThermalModel(MX_64)
     model.update(current, 0.0)
     promised = model.reserve()
     elapsed = 0.0
@@ -188,7 +187,7 @@ def test_the_model_reaches_the_limit_when_predicted(current: float) -> None:
 
 
 def test_missing_data_never_cool_the_model() -> None:
-    model = ThermalModel(MX_64)
+    model = controller.ThermalModel(MX_64)
     model.update(2.0, 10.0)
     before = model.heat
     model.update(math.nan, 10.0)
@@ -196,7 +195,7 @@ def test_missing_data_never_cool_the_model() -> None:
 
 
 def test_a_hot_servo_starts_with_the_heat_of_its_temperature() -> None:
-    model = ThermalModel(MX_64)
+    model = controller.ThermalModel(MX_64)
     model.start_at(math.nan)
     assert model.heat == 0.0
     model.start_at(80.0)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """tactile_node with a real ROS client and the emulated board. test_contactor_guard.py has the rules of a close."""
 
-from __future__ import annotations
-
 import math
 import threading
 import time
@@ -23,9 +21,7 @@ from sensor_msgs.msg import BatteryState
 from std_srvs.srv import Trigger
 
 from deltacharger_core.ros.executor import Spinner
-from deltacharger_driver.board import tactile_node
-from deltacharger_driver.board.protocol import BoardFault
-from deltacharger_driver.board.tactile_node import TactileNode
+from deltacharger_driver.board import protocol, tactile_node
 from deltacharger_driver.ports import PseudoTerminal
 from deltacharger_sim.emulators.board import BoardEmulator
 
@@ -86,7 +82,7 @@ class Rig:
         self.path = directory / "board"
         self.cable = PseudoTerminal(self.board, self.path).start()
         namespace = new_namespace()
-        self.node = TactileNode(**options(context, namespace, port=str(self.path)))
+        self.node = tactile_node.TactileNode(**options(context, namespace, port=str(self.path)))
         self.server = Spinner(self.node)
         self.client = Client(context, namespace)
         self.spinner = Spinner(self.client)
@@ -171,7 +167,7 @@ def test_probe_and_refusals_are_answered(rig: Rig) -> None:
     answer = rig.client.probe()
     assert (answer.success, answer.port) == (True, Probe.Response.PORT_REVERSED)  # measured, even if it forbids a close
     rig.plant.target = 24.0
-    rig.board.trip(BoardFault.CONTACTOR_WELDED)
+    rig.board.trip(protocol.BoardFault.CONTACTOR_WELDED)
     wait_until(lambda: rig.power().fault == ChargerPower.FAULT_CONTACTOR_WELDED)
     assert "welded" in rig.client.probe().message
     assert "24.0 V" in rig.client.clear_weld().message

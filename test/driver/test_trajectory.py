@@ -1,35 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which trajectories the arm may follow, and whose in every state of the contactor."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
 
 from deltacharger_core.real_time import AHEAD
 from deltacharger_driver.errors import DriverError, TrajectoryRefused
-from deltacharger_driver.servos.motion import (
-    FRESH,
-    ContactorState,
-    JointLimits,
-    MotionGuard,
-    Sender,
-    ServoWaypoint,
-    check,
-)
+from deltacharger_driver.servos import motion
 
 NAMES = ("a", "b", "c")
-LIMITS = JointLimits(NAMES, -1.0, 1.2, 4.0)
+LIMITS = motion.JointLimits(NAMES, -1.0, 1.2, 4.0)
 START = (0.0, 0.1, 0.2)
 
 
 def points(*rows):
-    return [ServoWaypoint(*row) for row in rows]
+    return [motion.ServoWaypoint(*row) for row in rows]
 
 
 def test_linear_between_the_goal_and_the_points():
-    trajectory = check(NAMES, points((1.0, (0.2, 0.2, 0.2)), (2.0, (0.0, 0.4, 0.2))), LIMITS)
+    trajectory = motion.check(NAMES, points((1.0, (0.2, 0.2, 0.2)), (2.0, (0.0, 0.4, 0.2))), LIMITS)
     assert trajectory.goal_at(0.0, START) == START
     assert trajectory.goal_at(0.5, START) == pytest.approx((0.1, 0.15, 0.2))
     assert trajectory.goal_at(1.0, START) == (0.2, 0.2, 0.2)
@@ -39,13 +29,13 @@ def test_linear_between_the_goal_and_the_points():
 
 
 def test_joints_may_be_in_any_order():
-    trajectory = check(("c", "a", "b"), points((1.0, (0.3, 0.1, 0.2), (3.0, 1.0, 2.0))), LIMITS)
+    trajectory = motion.check(("c", "a", "b"), points((1.0, (0.3, 0.1, 0.2), (3.0, 1.0, 2.0))), LIMITS)
     assert trajectory.angles == ((0.1, 0.2, 0.3),)
     assert trajectory.torques == ((1.0, 2.0, 3.0),)
 
 
 def test_a_bound_holds_from_the_start_of_its_segment():
-    trajectory = check(
+    trajectory = motion.check(
         NAMES, points((1.0, START), (2.0, START, (1.0, 1.0, 1.0)), (3.0, START), (4.0, START, (0.0, 2.0, 4.0))), LIMITS
     )
     assert trajectory.torque_at(0.5) is None
@@ -56,7 +46,7 @@ def test_a_bound_holds_from_the_start_of_its_segment():
 
 
 def test_the_rest_follows_the_same_path():
-    trajectory = check(
+    trajectory = motion.check(
         NAMES,
         points((1.0, (0.2, 0.2, 0.2), (1.0, 2.0, 3.0)), (2.0, (0.0, 0.4, 0.2)), (3.0, START, (0.0, 0.0, 0.0))),
         LIMITS,
@@ -69,7 +59,7 @@ def test_the_rest_follows_the_same_path():
             assert rest.goal_at(later, here) == pytest.approx(trajectory.goal_at(cut + later, START))
             assert rest.torque_at(later) == trajectory.torque_at(cut + later)
     assert trajectory.remaining(3.0).is_hold
-    assert check((), [], LIMITS).is_hold
+    assert motion.check((), [], LIMITS).is_hold
 
 
 @pytest.mark.parametrize(
@@ -87,11 +77,11 @@ def test_the_rest_follows_the_same_path():
 )
 def test_bad_trajectories_are_refused_with_a_reason(names, rows, reason):
     with pytest.raises(TrajectoryRefused, match=reason.replace(".", r"\.")) as caught:
-        check(names, points(*rows), LIMITS)
+        motion.check(names, points(*rows), LIMITS)
     assert isinstance(caught.value, DriverError)
 
 
-DOCKING, STRANGER, UNKNOWN = Sender("a" * 32, b"1"), Sender("", b"2"), Sender()
+DOCKING, STRANGER, UNKNOWN = motion.Sender("a" * 32, b"1"), motion.Sender("", b"2"), motion.Sender()
 OPEN, ARMED, CLOSED = (
     {"closed": False, "armed": False},
     {"closed": False, "armed": True},
@@ -99,17 +89,19 @@ OPEN, ARMED, CLOSED = (
 )
 
 
-def guard(*reports: dict[str, bool], publisher: bytes = b"board", age: float = 0.0, now: float = 0.0) -> MotionGuard:
-    guard = MotionGuard()
+def guard(
+    *reports: dict[str, bool], publisher: bytes = b"board", age: float = 0.0, now: float = 0.0
+) -> motion.MotionGuard:
+    guard = motion.MotionGuard()
     for report in reports:
         guard.observe(publisher, **report, age=age, now=now)
     return guard
 
 
-def after_docking_moved(report: dict[str, bool], **keys: float) -> MotionGuard:
+def after_docking_moved(report: dict[str, bool], **keys: float) -> motion.MotionGuard:
     """Return a guard after docking moved the arm with an open contactor, followed by `report`."""
     guard_ = guard(OPEN)
-    guard_.record_move(DOCKING, ContactorState.OPEN)
+    guard_.record_move(DOCKING, motion.ContactorState.OPEN)
     guard_.observe(b"board", **report, **{"age": 0.0, "now": 0.0, **keys})
     return guard_
 
@@ -117,42 +109,45 @@ def after_docking_moved(report: dict[str, bool], **keys: float) -> MotionGuard:
 @pytest.mark.parametrize(
     ("state", "allowed"),
     [
-        (ContactorState.ABSENT, (DOCKING, STRANGER, UNKNOWN)),
-        (ContactorState.OPEN, (DOCKING, STRANGER, UNKNOWN)),
-        (ContactorState.ARMED, (DOCKING,)),
-        (ContactorState.UNKNOWN, (DOCKING,)),
-        (ContactorState.CLOSED, ()),
+        (motion.ContactorState.ABSENT, (DOCKING, STRANGER, UNKNOWN)),
+        (motion.ContactorState.OPEN, (DOCKING, STRANGER, UNKNOWN)),
+        (motion.ContactorState.ARMED, (DOCKING,)),
+        (motion.ContactorState.UNKNOWN, (DOCKING,)),
+        (motion.ContactorState.CLOSED, ()),
     ],
 )
-def test_senders_that_may_move_the_arm(state: ContactorState, allowed: tuple[Sender, ...]) -> None:
+def test_senders_that_may_move_the_arm(state: motion.ContactorState, allowed: tuple[motion.Sender, ...]) -> None:
     found = after_docking_moved(OPEN)
     assert tuple(sender for sender in (DOCKING, STRANGER, UNKNOWN) if found.may_move(sender, state)) == allowed
 
 
 def test_the_arm_is_free_without_a_board_but_not_with_a_silent_one() -> None:
-    assert MotionGuard().state(0.0, is_announced=False) is ContactorState.ABSENT
-    assert MotionGuard().state(0.0, is_announced=True) is ContactorState.UNKNOWN
-    assert guard(OPEN).state(99.0, is_announced=False) is ContactorState.UNKNOWN  # it was received before
+    assert motion.MotionGuard().state(0.0, is_announced=False) is motion.ContactorState.ABSENT
+    assert motion.MotionGuard().state(0.0, is_announced=True) is motion.ContactorState.UNKNOWN
+    assert guard(OPEN).state(99.0, is_announced=False) is motion.ContactorState.UNKNOWN  # it was received before
 
 
-@pytest.mark.parametrize("age", [math.nan, -AHEAD * 2.0, FRESH * 1.01])
+@pytest.mark.parametrize("age", [math.nan, -AHEAD * 2.0, motion.FRESH * 1.01])
 def test_a_wrong_or_old_stamp_frees_no_arm_that_was_stopped(age: float) -> None:
     later = guard(CLOSED)
     later.observe(b"board", **OPEN, age=age, now=0.05)
-    assert later.state(0.05, False) is ContactorState.CLOSED
+    assert later.state(0.05, False) is motion.ContactorState.CLOSED
 
 
 def test_only_a_sender_that_moves_a_free_arm_becomes_the_leader() -> None:
     found = after_docking_moved(OPEN)
-    for state in set(ContactorState) - {ContactorState.OPEN}:
+    for state in set(motion.ContactorState) - {motion.ContactorState.OPEN}:
         found.record_move(STRANGER, state)
-        assert not found.may_move(STRANGER, ContactorState.UNKNOWN)
-    found.record_move(STRANGER, ContactorState.OPEN)
-    assert found.may_move(STRANGER, ContactorState.UNKNOWN)
+        assert not found.may_move(STRANGER, motion.ContactorState.UNKNOWN)
+    found.record_move(STRANGER, motion.ContactorState.OPEN)
+    assert found.may_move(STRANGER, motion.ContactorState.UNKNOWN)
 
 
-@pytest.mark.parametrize("other", [Sender("a" * 32, b"2"), Sender("b" * 32, b"1"), Sender("", b"1"), Sender("a" * 32)])
-def test_secret_and_publisher_must_both_be_the_same(other: Sender) -> None:
+@pytest.mark.parametrize(
+    "other",
+    [motion.Sender("a" * 32, b"2"), motion.Sender("b" * 32, b"1"), motion.Sender("", b"1"), motion.Sender("a" * 32)],
+)
+def test_secret_and_publisher_must_both_be_the_same(other: motion.Sender) -> None:
     assert DOCKING.is_same(DOCKING)
     assert not DOCKING.is_same(other)
     assert not other.is_same(DOCKING)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whose trajectories and reports servo_node believes: its ROS inputs without ROS, in virtual time."""
 
-from __future__ import annotations
-
 import math
 import struct
 from array import array
@@ -19,10 +17,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from deltacharger_core.machine import JOINTS
 from deltacharger_core.ros.on_demand import Received
-from deltacharger_driver.servos import servo_node
-from deltacharger_driver.servos.motion import ContactorState, JointLimits, MotionGuard
-from deltacharger_driver.servos.registers import TICK
-from deltacharger_driver.servos.servo_node import ContactorClient, TrajectoryInbox
+from deltacharger_driver.servos import motion, registers, servo_node
 
 from .servo_rig import START, Rig
 
@@ -74,9 +69,9 @@ class Arm:
     """An arm with torque, and its inbox."""
 
     def __init__(self, rig: Rig, node: Any) -> None:
-        self.rig, self.guard = rig, MotionGuard()
-        self.inbox = TrajectoryInbox(node, JointLimits(JOINTS, -1.2, 1.3, 4.4))
-        self.state = ContactorState.OPEN
+        self.rig, self.guard = rig, motion.MotionGuard()
+        self.inbox = servo_node.TrajectoryInbox(node, motion.JointLimits(JOINTS, -1.2, 1.3, 4.4))
+        self.state = motion.ContactorState.OPEN
         rig.torque_on()
 
     def receive(self, *messages: tuple[Any, bytes]) -> list[float]:
@@ -93,7 +88,7 @@ class Arm:
     def follows(self, sender: tuple[str, bytes], goal: Any) -> bool:
         secret, publisher = sender
         found = self.receive((trajectory(secret, (0.0, goal)), publisher))
-        return found == pytest.approx(list(goal), abs=TICK)
+        return found == pytest.approx(list(goal), abs=registers.TICK)
 
 
 @pytest.fixture
@@ -103,7 +98,7 @@ def servos(rig: Rig, node: Any) -> Arm:
 
 def test_only_allowed_senders_move_the_arm(servos: Arm) -> None:
     assert servos.follows(LEADER, GOAL)
-    servos.state = ContactorState.ARMED
+    servos.state = motion.ContactorState.ARMED
     assert servos.follows(LEADER, START)
     before = servos.rig.references()
     for sender in (STRANGER, (LEADER[0], b"3")):  # who copies the secret is another publisher
@@ -111,20 +106,20 @@ def test_only_allowed_senders_move_the_arm(servos: Arm) -> None:
         assert servos.rig.references() == before
         assert servos.state.value in servos.inbox.last_refusal
     assert servos.inbox.forbidden == servos.inbox.refused == 2
-    servos.state = ContactorState.OPEN
+    servos.state = motion.ContactorState.OPEN
     assert servos.follows(STRANGER, GOAL)
 
 
 def test_a_flood_of_refused_messages_does_not_hide_the_leaders(servos: Arm) -> None:
     assert servos.follows(LEADER, GOAL)
-    servos.state = ContactorState.ARMED
+    servos.state = motion.ContactorState.ARMED
     other = (trajectory("", (0.0, [0.9] * 3)), STRANGER[1])
     goals = servos.receive((trajectory(LEADER[0], (0.0, START)), LEADER[1]), *[other] * 60)
-    assert goals == pytest.approx(list(START), abs=TICK)
+    assert goals == pytest.approx(list(START), abs=registers.TICK)
 
 
-@pytest.mark.parametrize("state", [ContactorState.UNKNOWN, ContactorState.CLOSED])
-def test_a_hold_is_always_accepted(servos: Arm, state: ContactorState) -> None:
+@pytest.mark.parametrize("state", [motion.ContactorState.UNKNOWN, motion.ContactorState.CLOSED])
+def test_a_hold_is_always_accepted(servos: Arm, state: motion.ContactorState) -> None:
     servos.receive((trajectory(LEADER[0], (60.0, GOAL)), LEADER[1]))
     assert servos.rig.controller._goals.are_moving
     servos.state = state
@@ -166,9 +161,9 @@ def test_a_line_may_last_longer_than_its_stamp_is_valid_despite_refused_messages
         servos.receive((piece(at, begin), LEADER[1]), (trajectory("", (-1.0, START)), b"2"))
         servos.rig.clock.sleep(0.01)
     end = [angle + 0.2 for angle in START]
-    assert servos.receive() == pytest.approx(end, abs=TICK)
+    assert servos.receive() == pytest.approx(end, abs=registers.TICK)
     assert "time_from_start" in servos.inbox.last_refusal
-    assert servos.receive((piece(0.0, servos.rig.clock() - 0.7), LEADER[1])) == pytest.approx(end, abs=TICK)
+    assert servos.receive((piece(0.0, servos.rig.clock() - 0.7), LEADER[1])) == pytest.approx(end, abs=registers.TICK)
     assert "old" in servos.inbox.last_refusal  # another stamp must be fresh
 
 
@@ -176,9 +171,9 @@ class Reports:
     """A client of the contactor, and what it receives of charger_power."""
 
     def __init__(self, node: Any, clock: Any) -> None:
-        self.clock, self.client = clock, ContactorClient(node, clock)
+        self.clock, self.client = clock, servo_node.ContactorClient(node, clock)
 
-    def receive(self, publisher: bytes, closed: bool, sec: int | None = None, **fields: Any) -> ContactorState:
+    def receive(self, publisher: bytes, closed: bool, sec: int | None = None, **fields: Any) -> motion.ContactorState:
         self.put(self.message(closed, sec, **fields), publisher)
         return self.client.state()
 
@@ -202,16 +197,16 @@ def reports(node: Any, clock: Any) -> Reports:
 @pytest.mark.parametrize("named", [True, False], ids=["with its id", "as on Jazzy"])
 def test_a_report_of_closed_overrides_reports_of_open(reports: Reports, named: bool) -> None:
     board, liar = (b"1", b"2") if named else (b"", b"")
-    assert reports.receive(board, closed=True) is ContactorState.CLOSED
+    assert reports.receive(board, closed=True) is motion.ContactorState.CLOSED
     reports.client.request_open()
     for number in range(50):
         if number % 5 == 0:
             reports.receive(board, closed=True)
         state = reports.receive(liar, closed=False, sec=2**31 - 1 if number % 2 else None)
-        assert state is ContactorState.CLOSED
+        assert state is motion.ContactorState.CLOSED
         assert not reports.client.is_open()
     reports.clock.sleep(0.2)
-    assert reports.receive(board, closed=False) is ContactorState.OPEN
+    assert reports.receive(board, closed=False) is motion.ContactorState.OPEN
     assert reports.client.is_open()
 
 
@@ -232,19 +227,19 @@ def test_the_contactor_is_open_only_once_measured_so_without_current_after_the_r
 
 
 def test_the_state_follows_the_reports_and_impossible_ones_are_ignored(reports: Reports) -> None:
-    assert reports.client.state() is ContactorState.UNKNOWN  # the service is there
-    assert reports.receive(b"1", closed=False) is ContactorState.OPEN
+    assert reports.client.state() is motion.ContactorState.UNKNOWN  # the service is there
+    assert reports.receive(b"1", closed=False) is motion.ContactorState.OPEN
     for ohm in (math.nan, 470.0, math.inf):  # a live port, a dead one, one that may wake
         state = reports.receive(b"1", closed=False, probe_age=0.5, probe_resistance=ohm)
-        assert state is ContactorState.ARMED
-        assert reports.receive(b"1", closed=False) is ContactorState.OPEN
+        assert state is motion.ContactorState.ARMED
+        assert reports.receive(b"1", closed=False) is motion.ContactorState.OPEN
     for sec in (-1, 2**31 - 1, -(2**31)):
         reports.receive(b"2", closed=False, sec=sec, charge_current=math.nan, probe_age=math.nan)
     for data in (b"\0\1\0\0\xff\xff\xff\xff\xff", b"", bytes(5_000_000)):
         reports.put(data, b"2")
-    assert reports.receive(b"2", closed=True, sec=0) is ContactorState.OPEN  # stamped 1970
+    assert reports.receive(b"2", closed=True, sec=0) is motion.ContactorState.OPEN  # stamped 1970
     for live in ({"closed": True}, {"closed": False, "charge_current": -0.6}, {"closed": False, "fault": 7}):
-        assert reports.receive(b"1", closed=False) is ContactorState.OPEN
-        assert reports.receive(b"1", **live) is ContactorState.CLOSED  # type: ignore[arg-type]
+        assert reports.receive(b"1", closed=False) is motion.ContactorState.OPEN
+        assert reports.receive(b"1", **live) is motion.ContactorState.CLOSED  # type: ignore[arg-type]
     reports.clock.sleep(0.3)
-    assert reports.client.state() is ContactorState.UNKNOWN
+    assert reports.client.state() is motion.ContactorState.UNKNOWN

@@ -5,8 +5,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from deltacharger_driver.errors import PortGone, PortMissing
-from deltacharger_driver.ports import ByteDevice
+from deltacharger_driver import errors, ports
 from deltacharger_driver.servos.link import ServoPort
 
 
@@ -37,7 +36,7 @@ class Line:
 
     path = "the virtual line"
 
-    def __init__(self, device: ByteDevice, clock: Clock) -> None:
+    def __init__(self, device: ports.ByteDevice, clock: Clock) -> None:
         self.clock, self.device, self.arrived = clock, device, b""
         self.is_plugged, self.baud_rate = False, 0
         clock.line = self
@@ -78,7 +77,7 @@ class LinePort(ServoPort):
 
     def open_raw(self, path: str, baud_rate: int) -> Any:
         if not self.line.is_plugged:
-            raise PortMissing(path)
+            raise errors.PortMissing(path)
         self.line.baud_rate = baud_rate
         return LineBytes(self.line)
 
@@ -100,7 +99,7 @@ class LineBytes:
 
     def flush(self) -> None:
         if not self._line.is_plugged:
-            raise PortGone(self._line.path)
+            raise errors.PortGone(self._line.path)
         self._line.arrived = b""
 
     def read(self, timeout: float) -> bytes:

@@ -6,14 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from deltacharger_core.machine import ChargeLimits
-from deltacharger_driver.board.protocol import (
-    Ack,
-    PacketType,
-    Power,
-    decode_ack,
-    decode_power,
-    encode_close,
-)
+from deltacharger_driver.board import protocol
 from deltacharger_driver.packets import Packet, PacketDecoder, encode_packet
 
 from .board_host import BoardHost
@@ -90,7 +83,7 @@ class Bench:
         self.packets += new
         return new
 
-    def ask(self, type: int, payload: bytes = b"", wait: int = 0) -> Ack:
+    def ask(self, type: int, payload: bytes = b"", wait: int = 0) -> protocol.Ack:
         """Send a command and return its answer, which must arrive once and within `wait` us."""
         packets = self.send((type, payload))
         sequence = self._sequence
@@ -99,9 +92,9 @@ class Bench:
         (answer,) = [ack for ack in acks(packets) if (ack.type, ack.sequence) == (type, sequence)]
         return answer
 
-    def power(self) -> Power:
+    def power(self) -> protocol.Power:
         """The last POWER packet."""
-        return decode_power([p for p in self.packets if p.type == PacketType.POWER][-1].payload)
+        return protocol.decode_power([p for p in self.packets if p.type == protocol.PacketType.POWER][-1].payload)
 
     def state(self, name: str) -> float:
         """One value of the host program's `state`."""
@@ -115,23 +108,23 @@ class Bench:
     def beat(self, last: bool = False) -> None:
         """Send a heartbeat; the last one ends the regular ones."""
         self.beating = self.beating and not last
-        self.send((PacketType.HEARTBEAT, b""))
+        self.send((protocol.PacketType.HEARTBEAT, b""))
 
     def reboot(self) -> None:
         """Boot now."""
         self.host.sent(f"boot {self.now}")
 
-    def probe(self) -> Ack:
+    def probe(self) -> protocol.Ack:
         """Probe and wait for the answer."""
-        return self.ask(PacketType.PROBE, wait=160 * MS)
+        return self.ask(protocol.PacketType.PROBE, wait=160 * MS)
 
     def open(self) -> int:
         """Command an opening and return the error."""
-        return self.ask(PacketType.CONTACTOR, b"\0").error
+        return self.ask(protocol.PacketType.CONTACTOR, b"\0").error
 
     def close_contactor(self, limits: ChargeLimits = LIMITS) -> int:
         """Command a close and return the error."""
-        return self.ask(PacketType.CONTACTOR, encode_close(limits)).error
+        return self.ask(protocol.PacketType.CONTACTOR, protocol.encode_close(limits)).error
 
     def charge(self, duration: int = 1 * S, limits: ChargeLimits = LIMITS) -> Bench:
         """Heartbeat, probe, close, and wait until current flows."""
@@ -152,11 +145,11 @@ class Bench:
         return self.now - start
 
 
-def acks(packets: list[Packet]) -> list[Ack]:
+def acks(packets: list[Packet]) -> list[protocol.Ack]:
     """The ACKs among packets."""
-    return [decode_ack(packet.payload) for packet in packets if packet.type == PacketType.ACK]
+    return [protocol.decode_ack(packet.payload) for packet in packets if packet.type == protocol.PacketType.ACK]
 
 
 def tactile(packets: list[Packet]) -> list[Packet]:
     """The TACTILE packets among packets."""
-    return [packet for packet in packets if packet.type == PacketType.TACTILE]
+    return [packet for packet in packets if packet.type == protocol.PacketType.TACTILE]

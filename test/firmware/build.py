@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Builds the firmware once for all processes of a test run, and not again while sources and compiler stay the same."""
 
-from __future__ import annotations
-
 import fcntl
 import hashlib
 import os

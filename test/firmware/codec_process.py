@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The firmware's codec as a process; firmware/host/codec.c describes the protocol of its pipes."""
 
-from __future__ import annotations
-
 import struct
 import subprocess
 from pathlib import Path

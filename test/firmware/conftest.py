@@ -2,8 +2,6 @@
 """The firmware's host programs: for this computer with sanitizers, and at night for the board's processor, which QEMU
 emulates."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator

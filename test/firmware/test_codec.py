@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The firmware's codec against the driver's, byte for byte and in both directions."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,12 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deltacharger_driver.board.protocol import (
-    FULL_SCALE,
-    PacketType,
-    decode_samples,
-    encode_samples,
-)
+from deltacharger_driver.board import protocol
 from deltacharger_driver.packets import Packet, PacketDecoder, encode_packet
 
 from .codec_process import CodecProcess
@@ -58,7 +51,7 @@ def random_packet(source: random.Random, type: int | None = None, size: int | No
     return Packet(source.randrange(256) if type is None else type, payload, *numbers)
 
 
-@pytest.mark.parametrize("type", [*PacketType, 0, 15, 255])
+@pytest.mark.parametrize("type", [*protocol.PacketType, 0, 15, 255])
 def test_every_type_at_every_size_is_encoded_and_decoded_identically(codec: CodecProcess, type: int) -> None:
     source = random.Random(type)
     # With header and checksum a full run of 254 may end anywhere.
@@ -71,16 +64,16 @@ def test_every_type_at_every_size_is_encoded_and_decoded_identically(codec: Code
 
 def test_every_code_half_between_codes_and_the_edges(codec: CodecProcess) -> None:
     top = 0xFFF
-    halves = np.arange(0, 2 * top, dtype=np.float32) * np.float32(FULL_SCALE / (top - 1) / 2)
+    halves = np.arange(0, 2 * top, dtype=np.float32) * np.float32(protocol.FULL_SCALE / (top - 1) / 2)
     edges = np.array([np.nan, -np.nan, np.inf, -np.inf, -0.0, -1e-30, 1e-30, 10.0, np.nextafter(10, 0), 3e38], "f4")
     forces = np.concatenate((halves, np.nextafter(halves, np.float32(np.inf)), edges))
     forces = np.concatenate((forces, np.zeros(-len(forces) % 200, np.float32))).reshape(-1, 200)
     for row in forces:
         written = codec.ask("s", row.astype("<f4").tobytes())
-        assert written == encode_samples(row[:100], row[100:])
-        back, clipped = np.ravel(decode_samples(written)), np.clip(row, 0.0, 10.0)
+        assert written == protocol.encode_samples(row[:100], row[100:])
+        back, clipped = np.ravel(protocol.decode_samples(written)), np.clip(row, 0.0, 10.0)
         assert np.array_equal(np.isnan(back), np.isnan(row))
-        assert np.nanmax(np.abs(back - clipped)) <= FULL_SCALE / (top - 1) / 2 + 1e-6
+        assert np.nanmax(np.abs(back - clipped)) <= protocol.FULL_SCALE / (top - 1) / 2 + 1e-6
 
 
 def test_damaged_packets_are_decoded_identically(codec: CodecProcess) -> None:

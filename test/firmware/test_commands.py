@@ -11,12 +11,6 @@ import numpy as np
 import pytest
 
 from deltacharger_driver.board import protocol
-from deltacharger_driver.board.protocol import (
-    AckError,
-    PacketType,
-    encode_close,
-    encode_limit,
-)
 
 from .bench import LIMITS, MS, Bench
 
@@ -37,10 +31,10 @@ def test_one_newton_on_one_taxel_is_contact_and_a_dead_pad_is_none(
         forces = np.zeros(200)
         load(bench, forces)
         if tared:
-            assert bench.ask(PacketType.TARE, wait=40 * MS).error == 0
+            assert bench.ask(protocol.PacketType.TARE, wait=40 * MS).error == 0
         forces[157 : 157 + taxels] = force
         load(bench, forces)
-        assert bench.ask(PacketType.TARE, wait=40 * MS).error == error
+        assert bench.ask(protocol.PacketType.TARE, wait=40 * MS).error == error
 
 
 def test_the_heartbeat_still_counts_in_a_flood_of_garbage(bench: Bench) -> None:
@@ -51,30 +45,35 @@ def test_the_heartbeat_still_counts_in_a_flood_of_garbage(bench: Bench) -> None:
         bench.host.sent(f"wire {garbage.hex()}")
         bench.run(20 * MS)
     bench.check(commanded=1)
-    assert bench.ask(PacketType.STOP).error == 0
+    assert bench.ask(protocol.PacketType.STOP).error == 0
 
 
 def bad_contactor() -> Iterator[bytes]:
     """Payloads of CONTACTOR that are not in its table."""
-    good = encode_close(LIMITS)
+    good = protocol.encode_close(LIMITS)
     yield from (b"", b"\1", b"\3", b"\4", b"\0\0", good[:-1], good + b"\0", b"\0" + good[1:], b"\3" + good[1:])
-    yield from (b"\1\2" + good[2:], b"\1\0\1" + good[3:], b"\1\0\0\1" + good[4:], b"\2" + encode_limit(5.0)[1:])
+    yield from (
+        b"\1\2" + good[2:],
+        b"\1\0\1" + good[3:],
+        b"\1\0\0\1" + good[4:],
+        b"\2" + protocol.encode_limit(5.0)[1:],
+    )
     for name, (low, high) in protocol.LIMITS.items():
         for value in (math.nan, math.inf, -1.0, 0.99 * low, 1.01 * high):
-            yield encode_close(LIMITS._replace(**{name: value}))
+            yield protocol.encode_close(LIMITS._replace(**{name: value}))
     for current in (math.nan, math.inf, -1.0, 0.0, 30.1):
-        yield encode_limit(current)
+        yield protocol.encode_limit(current)
 
 
 def test_a_bad_contactor_command_changes_nothing(bench: Bench) -> None:
     bench.probe()
     bench.beat()
     for payload in bad_contactor():
-        assert bench.ask(PacketType.CONTACTOR, payload).error == AckError.BAD_PAYLOAD, payload.hex()
+        assert bench.ask(protocol.PacketType.CONTACTOR, payload).error == protocol.AckError.BAD_PAYLOAD, payload.hex()
     bench.check(commanded=0, fault=0)
     assert bench.close_contactor() == 0
     for payload in bad_contactor():
-        assert bench.ask(PacketType.CONTACTOR, payload).error == AckError.BAD_PAYLOAD, payload.hex()
+        assert bench.ask(protocol.PacketType.CONTACTOR, payload).error == protocol.AckError.BAD_PAYLOAD, payload.hex()
     bench.check(commanded=1, fault=0)
 
 

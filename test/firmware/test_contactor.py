@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Heartbeat, probe and contactor on the firmware against docs/board-link.md, in simulated time."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import struct

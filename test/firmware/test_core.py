@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Dependencies of the core, and its behaviour under a million random bytes."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The tests of the emulated board, run on the firmware: both must do the same."""
 
-from __future__ import annotations
-
 import pytest
 
 from .board_host import on_firmware

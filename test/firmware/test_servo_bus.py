@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The servos' bus behind the firmware: SERVO and SERVO_SPEED of docs/board-link.md, in simulated time."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The sketch for the OpenCM 9.04, compiled without a warning in every form with an Arduino core that does nothing."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The sketch's calls of the Arduino core: pins, probe, the servos' line, the link, the watchdog."""
 
-from __future__ import annotations
-
 import math
 import os
 import re

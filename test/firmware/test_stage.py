@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sequence and detectors of the power stage, in simulated time; the emulator's plant has none of them."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The calibration: accuracy, errors, refusals, and files of measurements, plans and recordings."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +9,7 @@ import numpy as np
 import pytest
 
 from deltacharger_kinematics import Delta, DeltaGeometry
+from deltacharger_kinematics.calibration import data
 from deltacharger_kinematics.calibration.calibrate import (
     COUNT,
     Uncertainty,
@@ -20,22 +19,13 @@ from deltacharger_kinematics.calibration.calibrate import (
     rms,
     with_numbers,
 )
-from deltacharger_kinematics.calibration.data import (
-    TICK,
-    CalibrationError,
-    Encoder,
-    Measurements,
-    PoseRecording,
-    plan,
-    read_measurements,
-)
 
 from ..marks import night, rest
 
 NOMINAL = DeltaGeometry()
 STATED = Uncertainty()
 MILLIMETRE = 1e-3
-POSES = plan(NOMINAL)
+POSES = data.plan(NOMINAL)
 POINTS = np.array([pose.position for pose in POSES])
 KEPT = np.array([pose.held_out for pose in POSES])
 HEADER = "x_mm,y_mm,z_mm,ticks_0,ticks_1,ticks_2"
@@ -47,12 +37,14 @@ def drawn_arm(seed: int) -> DeltaGeometry:
 
 def measured(
     arm: DeltaGeometry, points: np.ndarray = POINTS, noise: float = 0.05 * MILLIMETRE, seed: int = 1
-) -> Measurements:
+) -> data.Measurements:
     random = np.random.default_rng(seed)
     angles = Delta(NOMINAL).inverse(points).angles
     there = Delta(arm).forward(angles).position
     kept = KEPT if points is POINTS else None
-    return Measurements(there + random.normal(size=there.shape) * noise, angles, kept, tuple(range(2, len(points) + 2)))
+    return data.Measurements(
+        there + random.normal(size=there.shape) * noise, angles, kept, tuple(range(2, len(points) + 2))
+    )
 
 
 BOX = np.random.default_rng(9).uniform(NOMINAL.workspace_min, NOMINAL.workspace_max, (200, 3))
@@ -111,15 +103,17 @@ def test_exactly_the_outliers_are_named() -> None:
         (replace(GOOD, positions=GOOD.positions[:, [1, 0, 2]]), "predicted"),
     ],
 )
-def test_unsuitable_measurements_are_refused(rows: Measurements, problem: str) -> None:
-    with pytest.raises(CalibrationError, match=problem):
+def test_unsuitable_measurements_are_refused(rows: data.Measurements, problem: str) -> None:
+    with pytest.raises(data.CalibrationError, match=problem):
         calibrate(rows, NOMINAL, STATED)
 
 
 def test_angles_that_the_arm_cannot_have_are_refused_with_their_lines() -> None:
     rows = measured(NOMINAL)
     rows.angles[[3, 7]] = [3.0, 0.0, -3.0]
-    with pytest.raises(CalibrationError, match="lines 5, 9: an arm angle is far outside the joint limits") as refused:
+    with pytest.raises(
+        data.CalibrationError, match="lines 5, 9: an arm angle is far outside the joint limits"
+    ) as refused:
         calibrate(rows, NOMINAL, STATED)
     assert refused.value.lines == (5, 9)
 
@@ -127,10 +121,10 @@ def test_angles_that_the_arm_cannot_have_are_refused_with_their_lines() -> None:
 ROW = "1,2,3,2048,2100,2000"
 
 
-def read(tmp_path: Path, text: str | bytes) -> Measurements:
+def read(tmp_path: Path, text: str | bytes) -> data.Measurements:
     path = tmp_path / "data.csv"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
-    return read_measurements(path)
+    return data.read_measurements(path)
 
 
 @pytest.mark.parametrize(
@@ -146,20 +140,20 @@ def read(tmp_path: Path, text: str | bytes) -> Measurements:
 def test_files_as_editors_and_spreadsheets_write_them(tmp_path: Path, text: str) -> None:
     rows = read(tmp_path, text)
     assert np.allclose(rows.positions, [[0.001, 0.002, 0.003]], atol=1e-15)
-    assert np.allclose(rows.angles, [[0.0, 52 * TICK, -48 * TICK]], atol=1e-15)
+    assert np.allclose(rows.angles, [[0.0, 52 * data.TICK, -48 * data.TICK]], atol=1e-15)
 
 
 def test_zero_ticks_and_direction_are_as_the_file_states(tmp_path: Path) -> None:
     stated = (
         f"# zero_ticks 2000 2048 2048\n# direction: 1 1 -1\n# direction of the probe: from above\n{HEADER}\n{ROW}\n"
     )
-    encoder = Encoder((2000, 2048, 2048), (1, 1, -1))
+    encoder = data.Encoder((2000, 2048, 2048), (1, 1, -1))
     assert read(tmp_path, stated).encoder == encoder
-    assert read(tmp_path, stated).angles[0].tolist() == [48 * TICK, 52 * TICK, 48 * TICK]
-    with pytest.raises(CalibrationError, match=r"line 1: .* three whole numbers"):
+    assert read(tmp_path, stated).angles[0].tolist() == [48 * data.TICK, 52 * data.TICK, 48 * data.TICK]
+    with pytest.raises(data.CalibrationError, match=r"line 1: .* three whole numbers"):
         read(tmp_path, f"# zero_ticks 2048 2048\n{HEADER}\n{ROW}\n")
-    with pytest.raises(CalibrationError, match="direction"):
-        Encoder(direction=(1, 0, 1))
+    with pytest.raises(data.CalibrationError, match="direction"):
+        data.Encoder(direction=(1, 0, 1))
 
 
 @pytest.mark.parametrize(
@@ -175,32 +169,32 @@ def test_zero_ticks_and_direction_are_as_the_file_states(tmp_path: Path) -> None
     ],
 )
 def test_doubtful_cells_are_refused_with_their_line(tmp_path: Path, text: str | bytes, message: str) -> None:
-    with pytest.raises(CalibrationError, match=message):
+    with pytest.raises(data.CalibrationError, match=message):
         read(tmp_path, text)
 
 
 def test_a_recording_is_a_measurement_file_and_can_resume(tmp_path: Path) -> None:
-    path, encoder, rows = tmp_path / "measured.csv", Encoder(direction=(1, -1, 1)), measured(drawn_arm(5))
+    path, encoder, rows = tmp_path / "measured.csv", data.Encoder(direction=(1, -1, 1)), measured(drawn_arm(5))
 
-    def record(recording: PoseRecording, poses: range) -> None:
+    def record(recording: data.PoseRecording, poses: range) -> None:
         for index in poses:
             first, second, third = map(float, encoder.ticks(rows.angles[index]))
             x, y, z = map(float, rows.positions[index])
             recording.append(POSES[index], (first, second, third), (x, y, z))
 
-    record(PoseRecording(path, encoder), range(10))
+    record(data.PoseRecording(path, encoder), range(10))
     path.write_bytes(path.read_bytes().rstrip(b"\n"))  # as saved by an editor
-    resumed = PoseRecording(path, encoder)
+    resumed = data.PoseRecording(path, encoder)
     assert resumed.done == set(range(1, 11))
     record(resumed, range(10, 36))
-    again = read_measurements(path)
+    again = data.read_measurements(path)
     assert np.allclose(again.positions, rows.positions, atol=1e-7)
-    assert np.allclose(again.angles, rows.angles, atol=0.006 * TICK)
+    assert np.allclose(again.angles, rows.angles, atol=0.006 * data.TICK)
     assert again.held_out is not None
     assert (again.held_out == KEPT).all()
-    with pytest.raises(CalibrationError, match="other zero ticks"):
-        PoseRecording(path, Encoder())
+    with pytest.raises(data.CalibrationError, match="other zero ticks"):
+        data.PoseRecording(path, data.Encoder())
     other = tmp_path / "other.csv"
     other.write_text(f"{HEADER}\n{ROW}\n")
-    with pytest.raises(CalibrationError, match="no recording"):
-        PoseRecording(other, encoder)
+    with pytest.raises(data.CalibrationError, match="no recording"):
+        data.PoseRecording(other, encoder)

@@ -1,16 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Laws of the kinematics: round trips, finite differences, virtual work; results of bad and extreme points."""
 
-from __future__ import annotations
-
 import math
 import sys
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_kinematics import Delta, DeltaGeometry, Inverse, LimbAdjustment, Status

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Geometries as values and files: impossible ones are refused by name."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

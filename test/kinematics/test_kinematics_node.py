@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """kinematics_node: pose and force from servo_state, and kinematics with a status per point."""
 
-from __future__ import annotations
-
 import math
 from array import array
 from collections.abc import Iterator, Sequence
@@ -20,21 +18,16 @@ from rclpy.node import Node
 from std_msgs.msg import Header
 
 from deltacharger_core.machine import GRAVITY, TORQUE_CONSTANT
-from deltacharger_core.ros import qos
-from deltacharger_core.ros.executor import Spinner
-from deltacharger_core.ros.node_support import StartupError
+from deltacharger_core.ros import executor, node_support, qos
 from deltacharger_docking.ros.docking_node import DockingNode
-from deltacharger_kinematics import Delta, Status, kinematics_node
-from deltacharger_kinematics.geometry import load_geometry
-from deltacharger_kinematics.kinematics_node import KinematicsNode
-from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_kinematics import Delta, Status, geometry, kinematics_node, scalar
 
 from ..chargers import new_namespace, wait_until
 from ..nodes import call, options
 
 pytestmark = pytest.mark.ros
 
-DELTA = ScalarDelta()
+DELTA = scalar.ScalarDelta()
 
 
 class Bench:
@@ -50,8 +43,8 @@ class Bench:
         self.wrenches: list[WrenchStamped] = []
         asker.create_subscription(PoseStamped, "end_effector_pose", self.poses.append, 10)
         asker.create_subscription(WrenchStamped, "contact_wrench", self.wrenches.append, 10)
-        self.node = KinematicsNode(**options(context, namespace, **parameters))
-        self.spinners = [Spinner(self.node), Spinner(asker)]
+        self.node = kinematics_node.KinematicsNode(**options(context, namespace, **parameters))
+        self.spinners = [executor.Spinner(self.node), executor.Spinner(asker)]
         wait_until(self.ready, "kinematics_node")
 
     def ready(self) -> bool:
@@ -186,7 +179,7 @@ def test_a_geometry_file_sets_each_limb(context: Any, geometry_file: str) -> Non
     bench = Bench(context, geometry_file=geometry_file)
     try:
         positions = np.random.default_rng(4).uniform((-0.06, -0.06, 0.0), (0.06, 0.06, 0.11), (50, 3))
-        solved, wanted = bench.solve(positions), Delta(load_geometry(Path(geometry_file))).inverse(positions)
+        solved, wanted = bench.solve(positions), Delta(geometry.load_geometry(Path(geometry_file))).inverse(positions)
         assert np.array_equal(np.reshape(solved.angles, (-1, 3)), wanted.angles)
         assert not np.allclose(wanted.angles, Delta().inverse(positions).angles, atol=1e-3)
     finally:
@@ -208,6 +201,6 @@ def test_impossible_parameters_and_a_geometry_file_that_is_refused_or_contradict
     bad = Path(geometry_file).with_name("bad.yaml")
     bad.write_text(content)
     given = {"geometry_file": str(bad) if content else geometry_file, **parameters}
-    for kind in (KinematicsNode, DockingNode):
-        with pytest.raises(StartupError, match=reason):
+    for kind in (kinematics_node.KinematicsNode, DockingNode):
+        with pytest.raises(node_support.StartupError, match=reason):
             kind(**options(context, new_namespace(), **given))

@@ -1,15 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Laws of straight lines: rest at both ends, on the line, within every limit, refused before anything moves."""
 
-from __future__ import annotations
-
 import itertools
 import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from deltacharger_kinematics import Delta, DeltaGeometry, Status
 from deltacharger_kinematics.geometry import NO_ANSWER, LimbAdjustment

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Malformed data for the mission: it refuses or ignores them; its log: a line for each change."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import astuple
@@ -15,13 +13,10 @@ from deltacharger.srv import DetectElectrodes
 from geometry_msgs.msg import PoseStamped
 
 from deltacharger_core.texts import MESSAGE_MAX
-from deltacharger_docking.codes import Code, Rejected, State
-from deltacharger_docking.mission.dialogue import End, MissionGoal, MissionObservation
+from deltacharger_docking import codes, observation
+from deltacharger_docking.mission import dialogue, parameters, places
 from deltacharger_docking.mission.machine import MissionMachine
-from deltacharger_docking.mission.parameters import MissionParameters
-from deltacharger_docking.mission.places import BaseMount
 from deltacharger_docking.mission.ros import others as io
-from deltacharger_docking.observation import BasePose
 from deltacharger_docking.ros.messages import pose_stamped
 
 pytestmark = pytest.mark.ros
@@ -46,42 +41,44 @@ def test_the_robot_is_not_sent_to_implausible_electrodes(x: float) -> None:
     answer.detection.header.frame_id = "charger_base"
     answer.detection.pose.pose.position.x = x
     reply = io.read_detection(1, answer)
-    assert (reply.end, reply.electrodes) == (End.FAILED, None)
+    assert (reply.end, reply.electrodes) == (dialogue.End.FAILED, None)
     assert reply.message
     result = Dock.Result()
     result.suggested_base_pose.header.frame_id = "charger_base"
     result.suggested_base_pose.pose.position.x = x
-    assert io.read_dock(2, End.FAILED, result, None).suggested is None
+    assert io.read_dock(2, dialogue.End.FAILED, result, None).suggested is None
 
 
 def test_a_suggested_base_pose_is_read_with_its_yaw_and_an_invalid_yaw_gives_none() -> None:
     result = Dock.Result(error_code=Dock.Result.LEANING)
-    result.suggested_base_pose = pose_stamped(BasePose(0.1, 0.0, -0.2, -0.3), Time(), "charger_base")
-    reply = io.read_dock(2, End.FAILED, result, None)
-    assert reply.code is Code.LEANING
+    result.suggested_base_pose = pose_stamped(observation.BasePose(0.1, 0.0, -0.2, -0.3), Time(), "charger_base")
+    reply = io.read_dock(2, dialogue.End.FAILED, result, None)
+    assert reply.code is codes.Code.LEANING
     assert reply.suggested is not None
     assert astuple(reply.suggested) == pytest.approx((0.1, 0.0, -0.2, -0.3))
     for wrong in (math.nan, 0.0):
         result.suggested_base_pose.pose.orientation.y = result.suggested_base_pose.pose.orientation.w = wrong
-        assert io.read_dock(2, End.FAILED, result, None).suggested is None
+        assert io.read_dock(2, dialogue.End.FAILED, result, None).suggested is None
 
 
 def test_long_messages_are_cut_and_long_frame_names_refused() -> None:
     answer, result = DetectElectrodes.Response(message=LONG), Dock.Result(error_message=LONG)
-    for reply in (io.read_detection(1, answer), io.read_dock(2, End.FAILED, result, None)):
+    for reply in (io.read_detection(1, answer), io.read_dock(2, dialogue.End.FAILED, result, None)):
         assert len(reply.message) < 2 * MESSAGE_MAX
     goal = ChargeRobot.Goal()
     goal.target.header.frame_id = LONG
-    with pytest.raises(Rejected, match="frame_id") as refusal:
-        io.goal(goal, MissionParameters(navigation="nav2"))
+    with pytest.raises(codes.Rejected, match="frame_id") as refusal:
+        io.goal(goal, parameters.MissionParameters(navigation="nav2"))
     assert len(str(refusal.value)) < MESSAGE_MAX
-    machine = MissionMachine(MissionParameters(), BaseMount((0, 0, 0, 0.5, 0.5, 0.5, 0.5)), None)
-    with pytest.raises(Rejected, match="request_id"):
-        machine.start(MissionGoal(None, 0.0, 0.0, LONG), MissionObservation(0.0, frozenset(), None, ()))
+    machine = MissionMachine(parameters.MissionParameters(), places.BaseMount((0, 0, 0, 0.5, 0.5, 0.5, 0.5)), None)
+    with pytest.raises(codes.Rejected, match="request_id"):
+        machine.start(
+            dialogue.MissionGoal(None, 0.0, 0.0, LONG), dialogue.MissionObservation(0.0, frozenset(), None, ())
+        )
 
 
 def test_an_invalid_docking_state_is_ignored() -> None:
     assert io.read_state(DockingState(state=200)) is None
     report = io.read_state(DockingState(state=DockingState.STATE_CHARGING, charging=True))
     assert report is not None
-    assert report.state is State.CHARGING
+    assert report.state is codes.State.CHARGING

@@ -4,8 +4,6 @@
 The real docking_node docks on mocks. The laws are in test/mission/test_mission.py, in virtual time.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -20,10 +18,8 @@ from rclpy.parameter import Parameter
 
 from deltacharger_bringup.scenes.composition import Composition
 from deltacharger_bringup.scenes.scene import Scene, load_scene
-from deltacharger_core.ros.executor import Spinner
-from deltacharger_core.ros.messages import CODES, duration, seconds
-from deltacharger_docking.mission.dialogue import Stage
-from deltacharger_docking.mission.places import Place
+from deltacharger_core.ros import executor, messages
+from deltacharger_docking.mission import dialogue, places
 from deltacharger_docking.mission.ros.others import fill_pose
 
 from ..chargers import Spin, new_namespace, wait_until
@@ -33,8 +29,8 @@ from ..transforms import Robot as Broadcaster
 pytestmark = pytest.mark.ros
 
 WITHOUT_NAVIGATION = "nav2_msgs is not installed: it comes with Nav2, or `make navigation` builds a stand-in"
-TARGET = Place(1.0, 0.0, math.pi)
-HOME = Place(-1.0, 0.0, 0.0)
+TARGET = places.Place(1.0, 0.0, math.pi)
+HOME = places.Place(-1.0, 0.0, 0.0)
 REAL = Path(__file__).with_name("mission.yaml")
 
 
@@ -42,17 +38,17 @@ class ActiveGoal:
     """A running ChargeRobot goal: its stages as reported, and its result."""
 
     def __init__(self, call_soon: Callable[..., Any], client: Any, goal: ChargeRobot.Goal) -> None:
-        self.stages: list[Stage] = []
+        self.stages: list[dialogue.Stage] = []
         sent = call_soon(client.send_goal_async, goal, feedback_callback=self._on_feedback)
         self._handle = answer(answer(sent))
         self._result = self._handle.get_result_async()
 
     def _on_feedback(self, message: Any) -> None:
-        stage = Stage(message.feedback.stage)
+        stage = dialogue.Stage(message.feedback.stage)
         if self.stages[-1:] != [stage]:
             self.stages.append(stage)
 
-    def reach(self, stage: Stage) -> None:
+    def reach(self, stage: dialogue.Stage) -> None:
         wait_until(lambda: stage in self.stages or self._result.done(), f"{stage.name} in {self.stages}")
         assert stage in self.stages, self.end()
 
@@ -74,11 +70,13 @@ class Robot:
         self.node = self.composition.node
         client_node = Node("mission_client", **options(context, namespace))
         self._client: ActionClient[Any, Any, Any] = ActionClient(client_node, ChargeRobot, "charge_robot")
-        self._spinner = Spinner(client_node)
+        self._spinner = executor.Spinner(client_node)
         wait_until(self._client.server_is_ready, "charge_robot")
 
-    def send(self, request_id: str = "", stop_after: float = 0.2, frame: str = "map", at: Place = TARGET) -> ActiveGoal:
-        goal = ChargeRobot.Goal(request_id=request_id, stop_after=duration(stop_after))
+    def send(
+        self, request_id: str = "", stop_after: float = 0.2, frame: str = "map", at: places.Place = TARGET
+    ) -> ActiveGoal:
+        goal = ChargeRobot.Goal(request_id=request_id, stop_after=messages.duration(stop_after))
         fill_pose(goal.target, replace(at, frame=frame))
         return ActiveGoal(self._spinner.call_soon, self._client, goal)
 
@@ -87,8 +85,8 @@ class Robot:
         assert found.successful, found.reason
 
     @property
-    def place(self) -> Place:
-        found: Place = self.node("mock_navigator_node").place
+    def place(self) -> places.Place:
+        found: places.Place = self.node("mock_navigator_node").place
         return found
 
     def close(self) -> None:
@@ -112,7 +110,7 @@ def made(context: Any) -> Iterator[Callable[[Scene], Robot]]:
 
 def named(result: Any) -> tuple[bool, str, bool]:
     """Return success, the code's name and whether it returned."""
-    return result.success, CODES[result.error_code], result.returned
+    return result.success, messages.CODES[result.error_code], result.returned
 
 
 @pytest.mark.witness
@@ -127,8 +125,13 @@ def test_it_drives_moves_nearer_docks_charges_and_comes_home(made: Callable[[Sce
     result = active.end()
     assert named(result) == (True, "NONE", True), result
     assert result.energy > 0.0
-    assert set(active.stages) == set(Stage)
-    assert active.stages[-4:] == [Stage.DOCK, Stage.CHARGE, Stage.UNDOCK, Stage.RETURN]
+    assert set(active.stages) == set(dialogue.Stage)
+    assert active.stages[-4:] == [
+        dialogue.Stage.DOCK,
+        dialogue.Stage.CHARGE,
+        dialogue.Stage.UNDOCK,
+        dialogue.Stage.RETURN,
+    ]
     first, second = arrived[:2]
     assert (first.x, first.y) == pytest.approx((1.0 - 0.2, 0.0), abs=1e-6), "before a target at x = 1 that faces −x"
     assert second.x - first.x == pytest.approx(0.5 - 0.08, abs=1e-6), "it came nearer by what was missing"
@@ -153,13 +156,13 @@ def test_the_base_pose_follows_the_charger_mount_in_tf(
 def test_closing_mission_node_ends_charging_and_its_goal_and_drives_nowhere(made: Callable[[Scene], Robot]) -> None:
     robot = made(load_scene(REAL))
     active = robot.send(stop_after=100.0)
-    active.reach(Stage.CHARGE)
+    active.reach(dialogue.Stage.CHARGE)
     stood = robot.place
     robot.node("mission_node").close()
     result = active.end()
     assert named(result) == (False, "CANCELED", False), result
     assert "undock before you drive it" in result.error_message
-    assert seconds(result.elapsed) > 0.5
+    assert messages.seconds(result.elapsed) > 0.5
     assert result.energy > 0.0
     wait_until(lambda: not robot.node("mock_tactile_node").contactor_closed, "an open contactor")
     assert robot.place == stood
@@ -181,5 +184,5 @@ def test_after_a_defect_the_node_is_free(made: Callable[[Scene], Robot], monkeyp
     assert named(result) == (False, "INTERNAL", False)
     assert not machine.busy, "it drives without a client"
     active = robot.send()
-    active.reach(Stage.DRIVE)
+    active.reach(dialogue.Stage.DRIVE)
     active.cancel()

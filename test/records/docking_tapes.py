@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages of invented dockings, for tests of recording and replay."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterable, Mapping
@@ -15,16 +13,15 @@ from deltacharger.action import Dock
 from deltacharger.msg import ChargerPower, DockingDecision, DockingState, ServoState, TactileFrame
 from rclpy.serialization import serialize_message
 
-from deltacharger_bringup.records.recording.folder import ABOUT, PARAMETERS, RESULT
-from deltacharger_bringup.records.recording.mcap_recording import TOPICS, McapWriter, Topic
+from deltacharger_bringup.records.recording import folder, mcap_recording
 from deltacharger_core.mcap_file import Raw
 from deltacharger_core.ros.messages import unknown_misalignment
 from deltacharger_core.ros.outcomes import Outcome
 from deltacharger_docking.codes import Code, State
 
 BEGAN = 1_795_000_000 * 10**9  # ns since 1970
-NAMES = {topic.name: f"/a/{topic.name}" for topic in TOPICS}
-RECORDED = {NAMES[topic.name]: topic for topic in TOPICS}
+NAMES = {topic.name: f"/a/{topic.name}" for topic in mcap_recording.TOPICS}
+RECORDED = {NAMES[topic.name]: topic for topic in mcap_recording.TOPICS}
 MEASURED = (
     *("angle_rad", "angle_stddev_rad", "vertical_m", "vertical_stddev_m", "horizontal_m", "horizontal_stddev_m"),
     *("across_m", "across_stddev_m"),
@@ -124,16 +121,16 @@ def write(
     path: Path,
     messages: Iterable[Raw],
     *results: Outcome,
-    topics: Mapping[str, Topic] = RECORDED,
+    topics: Mapping[str, mcap_recording.Topic] = RECORDED,
     parameters: Mapping[str, Any] = MappingProxyType({}),
 ) -> Path:
     """Write a recording of messages."""
     about = {"version": "0", "scene": "tape", "namespace": "/a", "request_id": "r/1"}
-    with McapWriter(path.open("wb"), topics, [(ABOUT, about)]) as writer:
+    with mcap_recording.McapWriter(path.open("wb"), topics, [(folder.ABOUT, about)]) as writer:
         for message in messages:
             if message.topic in topics:
                 writer.add(message)
-        writer.add_metadata(PARAMETERS, {name: json.dumps(value) for name, value in parameters.items()})
+        writer.add_metadata(folder.PARAMETERS, {name: json.dumps(value) for name, value in parameters.items()})
         for each in results:
-            writer.add_metadata(RESULT, {"action": each.action, "json": json.dumps(each.as_dict())})
+            writer.add_metadata(folder.RESULT, {"action": each.action, "json": json.dumps(each.as_dict())})
     return path

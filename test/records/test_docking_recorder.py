@@ -4,8 +4,6 @@
 It keeps everything around an event, little from hours of charging, and never more than its limit.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import tempfile
@@ -21,24 +19,21 @@ pytest.importorskip("mcap", reason="records with deltacharger[record]")
 
 from deltacharger.msg import DockingState
 
-from deltacharger_bringup.records.recording.docking_recorder import BEFORE, LOST_AFTER, DockingRecorder, Gate
+from deltacharger_bringup.records.recording import docking_recorder, mcap_recording
 from deltacharger_bringup.records.recording.folder import PARTIAL, RecordFolder
-from deltacharger_bringup.records.recording.mcap_recording import McapWriter
-from deltacharger_bringup.records.replay.record import replay
-from deltacharger_bringup.records.replay.words import why
-from deltacharger_core.mcap_file import Raw
-from deltacharger_core.texts import REQUEST_ID_MAX
+from deltacharger_bringup.records.replay import record, words
+from deltacharger_core import mcap_file, texts
 from deltacharger_docking.codes import Code, State
 
 TILTED = "the target is rolled by 12.6°"
 
 
-def recorder(folder: Path, max_bytes: int = 10**8) -> DockingRecorder:
+def recorder(folder: Path, max_bytes: int = 10**8) -> docking_recorder.DockingRecorder:
     about = {"version": "0", "scene": "tape", "namespace": "/a"}
-    return DockingRecorder(RecordFolder(folder, max_bytes), RECORDED, about)
+    return docking_recorder.DockingRecorder(RecordFolder(folder, max_bytes), RECORDED, about)
 
 
-def play(recorder: DockingRecorder, messages: Iterable[Raw]) -> float:
+def play(recorder: docking_recorder.DockingRecorder, messages: Iterable[mcap_file.Raw]) -> float:
     """Pass messages in recorded time, without waiting; return the time (s) after the last."""
     now = 0.0
     for message in messages:
@@ -48,7 +43,7 @@ def play(recorder: DockingRecorder, messages: Iterable[Raw]) -> float:
     return now
 
 
-def finish(recorder: DockingRecorder, now: float) -> None:
+def finish(recorder: docking_recorder.DockingRecorder, now: float) -> None:
     """Advance the time until no record is open."""
     for step in range(20):
         recorder.tick(now + 0.5 * step, alive=True)
@@ -66,7 +61,7 @@ def test_a_refused_docking_is_one_file_that_includes_the_seconds_before_its_goal
     recording.take_result(result(Code.CRITICAL_ANGLE, message))
     finish(recording, now)
     assert only(tmp_path).name == "20261118T110641Z-r_1-CRITICAL_ANGLE.mcap"
-    found = replay(only(tmp_path))
+    found = record.replay(only(tmp_path))
     assert found.is_complete
     assert found.outcome() == {"success": False, "code": 403, "name": "CRITICAL_ANGLE", "message": message}
     assert found.motion.arrays()["time"][0] == pytest.approx(-1.0, abs=0.02), "the tape began 1 s before the goal"
@@ -87,20 +82,22 @@ def test_a_fault_while_charging_names_the_record(tmp_path: Path) -> None:
     recording.take_result(result(Code.NONE))
     finish(recording, now)
     assert only(tmp_path).name.endswith("-NO_CONTACT.mcap")
-    found = replay(only(tmp_path))
+    found = record.replay(only(tmp_path))
     assert found.outcome()["success"] is True
     assert found.afterwards() == {"success": False, "code": 302, "name": "NO_CONTACT", "message": "contact was lost"}
-    assert "Charging was ended after 2.0 s by NO_CONTACT" in why(found)
+    assert "Charging was ended after 2.0 s by NO_CONTACT" in words.why(found)
 
 
 def test_consecutive_dockings_are_two_records(tmp_path: Path) -> None:
     recording = recorder(tmp_path)
     first = docking(*refused(Code.NO_CONTACT, "nothing is there"), until=4.0)
-    second = [Raw(each.topic, each.received + 4_200_000_000, each.published, each.data) for each in first[50:]]
+    second = [
+        mcap_file.Raw(each.topic, each.received + 4_200_000_000, each.published, each.data) for each in first[50:]
+    ]
     finish(recording, play(recording, [*first, *second]))
     paths = sorted(tmp_path.iterdir())
     assert [path.name.split("-")[-1] for path in paths] == ["NO_CONTACT.mcap"] * 2
-    first_, second_ = (replay(path) for path in paths)
+    first_, second_ = (record.replay(path) for path in paths)
     phases, expected = ([phase.state for phase in each.phases if phase.state != "idle"] for each in (second_, first_))
     assert phases == expected
     assert second_.began_ns - first_.began_ns == 4_200_000_000
@@ -118,13 +115,13 @@ def test_a_full_disk_ends_recording_and_keeps_written_data(tmp_path: Path, monke
         assert ("No space left" in recording.problem, list(tmp_path.iterdir())) == (True, []), "full at the start"
     recording = recorder(tmp_path)
     play(recording, docking())
-    monkeypatch.setattr(McapWriter, "add", full)
+    monkeypatch.setattr(mcap_recording.McapWriter, "add", full)
     now = play(recording, [state(3.1, State.ALIGN), *readings(3.1, 3.5), state(3.6, State.RETRACT)])
     assert "No space left" in recording.problem
     monkeypatch.undo()
     finish(recording, play(recording, [state(now + 0.1, State.IDLE)]))
     assert only(tmp_path).name.endswith(PARTIAL)
-    found = replay(only(tmp_path))
+    found = record.replay(only(tmp_path))
     assert (bool(found.recording.damage), found.phases[-1].state) == (True, "measure")
 
 
@@ -134,10 +131,10 @@ def test_a_recorder_that_is_killed_leaves_all_but_the_last_second(tmp_path: Path
     play(recording, docking(until=5.0))
     path = only(tmp_path)
     assert path.name.endswith(PARTIAL)
-    found = replay(path)
+    found = record.replay(path)
     assert ("ends early" in found.recording.damage, found.outcome()["success"]) == (True, None)
     assert found.end > 3.9 - 1.1, "1 s at most is lost"
-    assert "without an outcome" in why(found)
+    assert "without an outcome" in words.why(found)
 
 
 def test_a_record_that_reaches_its_limit_ends_and_the_next_docking_is_recorded(tmp_path: Path) -> None:
@@ -158,21 +155,21 @@ def test_unreadable_messages_are_skipped_and_long_texts_are_cut(tmp_path: Path) 
             foreign = [each._replace(data=b"\xff" * 30) for each in tape if "docking_" in each.topic]
             finish(recording, play(recording, in_order([*tape, *foreign])))
             assert recording.problem == ""
-            found = replay(only(Path(folder)))
-            assert (found.is_complete, len(found.about["request_id"]) <= REQUEST_ID_MAX) == (True, True)
+            found = record.replay(only(Path(folder)))
+            assert (found.is_complete, len(found.about["request_id"]) <= texts.REQUEST_ID_MAX) == (True, True)
 
 
-def numbered(topic: str, number: int) -> Raw:
-    return Raw(topic, number, number, b"x" * 100)
+def numbered(topic: str, number: int) -> mcap_file.Raw:
+    return mcap_file.Raw(topic, number, number, b"x" * 100)
 
 
-def numbers(messages: list[Raw]) -> list[int]:
+def numbers(messages: list[mcap_file.Raw]) -> list[int]:
     return [message.received for message in messages]
 
 
 def test_hours_of_charging_are_thinned_and_the_seconds_around_an_event_are_complete() -> None:
     """At 5 messages a second; the gate assumes no rate."""
-    tap, kept, lengths = Gate(["state"]), list[Raw](), list[int]()
+    tap, kept, lengths = docking_recorder.Gate(["state"]), list[mcap_file.Raw](), list[int]()
     tap.open()
     tap.rest(0.0)
     for number in range(36_000):
@@ -183,16 +180,21 @@ def test_hours_of_charging_are_thinned_and_the_seconds_around_an_event_are_compl
     tap.stir(7200.0)
     for number in range(36_000, 36_100):
         kept += tap.offer(0.2 * number, numbered("servo", number))
-    around = [number for number in numbers(kept) if abs(0.2 * number - 7200.0) < BEFORE - 0.2]
+    around = [number for number in numbers(kept) if abs(0.2 * number - 7200.0) < docking_recorder.BEFORE - 0.2]
     assert around == list(range(around[0], around[-1] + 1))
-    assert len(around) == pytest.approx(2 * (BEFORE - 0.2) / 0.2, abs=2)
+    assert len(around) == pytest.approx(2 * (docking_recorder.BEFORE - 0.2) / 0.2, abs=2)
 
 
 def test_a_docking_ends_if_its_node_ends_but_not_if_the_node_returns(tmp_path: Path) -> None:
     recording = recorder(tmp_path)
     now = play(recording, docking())
-    for after, alive in ((1.0, False), (1.0 + 0.9 * LOST_AFTER, True), (8.0, False), (7.9 + LOST_AFTER, False)):
+    for after, alive in (
+        (1.0, False),
+        (1.0 + 0.9 * docking_recorder.LOST_AFTER, True),
+        (8.0, False),
+        (7.9 + docking_recorder.LOST_AFTER, False),
+    ):
         recording.tick(now + after, alive)
         assert recording.path is not None
-    recording.tick(now + 8.0 + LOST_AFTER, alive=False)
+    recording.tick(now + 8.0 + docking_recorder.LOST_AFTER, alive=False)
     assert only(tmp_path).name.endswith("-UNFINISHED.mcap")

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A docking recorded by the node, replayed and compared with its client's result."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Any
@@ -23,15 +21,13 @@ from deltacharger_bringup.records.recording.folder import PARTIAL
 from deltacharger_bringup.records.replay.record import Replay, replay
 from deltacharger_bringup.records.replay.words import why
 from deltacharger_bringup.scenes.scene import RECORDER, Scene, with_recorder
-from deltacharger_core.ros.log import Log
-from deltacharger_core.ros.messages import PHASES
-from deltacharger_core.ros.outcomes import DockRequest, Pose, Progress
+from deltacharger_core.ros import log, messages, outcomes
 
 from ..running_charger import RunningCharger
 
 pytestmark = pytest.mark.ros
 
-PLACE = Pose(0.0, 0.0, 0.080)
+PLACE = outcomes.Pose(0.0, 0.0, 0.080)
 
 
 class Recorded(RunningCharger):
@@ -60,9 +56,9 @@ class Recorded(RunningCharger):
 @pytest.mark.version
 @pytest.mark.witness
 def test_a_docking_is_recorded_as_its_client_saw_it(quick_scene: Scene, context: Any, tmp_path: Path) -> None:
-    seen: list[Progress] = []
+    seen: list[outcomes.Progress] = []
     with Recorded(quick_scene, context, tmp_path) as cell:
-        outcome = cell.dock(DockRequest(PLACE, request_id="robot/7"), seen.append)
+        outcome = cell.dock(outcomes.DockRequest(PLACE, request_id="robot/7"), seen.append)
         assert outcome.success, outcome
         cell.go_home()
         found = cell.record("robot_7", "OK")
@@ -71,7 +67,7 @@ def test_a_docking_is_recorded_as_its_client_saw_it(quick_scene: Scene, context:
     assert recorded.as_dict() == outcome.as_dict()
     assert (found.is_complete, found.request_id, found.about["scene"]) == (True, "robot/7", "quick")
     phases = [phase.state for phase in found.phases]
-    heard = [PHASES[state.state] for state in cell.states]
+    heard = [messages.PHASES[state.state] for state in cell.states]
     assert [name for name, before in zip(heard, ["idle", *heard], strict=False) if name != before] == phases[1:]
     reported = [progress.phase for progress in seen if progress.phase != "idle"]
     changes = [phase for phase, before in zip(reported, ["", *reported], strict=False) if phase != before]
@@ -88,7 +84,7 @@ def test_a_docking_is_recorded_as_its_client_saw_it(quick_scene: Scene, context:
 @pytest.mark.rest
 def test_a_charger_completes_its_record_when_it_ends(quick_scene: Scene, context: Any, tmp_path: Path) -> None:
     with Recorded(quick_scene, context, tmp_path) as cell:
-        goal = cell.begin("contact", lambda: cell.dock(DockRequest(PLACE, request_id="ends")))
+        goal = cell.begin("contact", lambda: cell.dock(outcomes.DockRequest(PLACE, request_id="ends")))
         assert cell.composition is not None
         cell.composition.close()
         assert goal.result(60.0).error_name == "CANCELED"
@@ -105,7 +101,7 @@ def test_without_mcap_the_node_runs_and_names_what_to_install(
     listener.create_subscription(DiagnosticArray, "/diagnostics", lambda message: heard.extend(message.status), 10)
     monkeypatch.setitem(sys.modules, "mcap.writer", None)
     logged: list[str] = []
-    monkeypatch.setattr(Log, "error", lambda self, line, pause=0.0: logged.append(line))
+    monkeypatch.setattr(log.Log, "error", lambda self, line, pause=0.0: logged.append(line))
     node = spin(DockingRecorderNode(**options(context, namespace)))
     found = wait_until(lambda: [each for each in heard if each.name == f"{namespace}/{RECORDER}: recording"], "status")
     assert (found[0].level, found[0].message, logged) == (DiagnosticStatus.ERROR, node.problem, [node.problem])

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A recording contains the bytes of its topics."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

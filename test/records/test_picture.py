@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The picture of a docking: drawn from any data, however few, and never a reason to fail."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 
@@ -12,18 +10,17 @@ import pytest
 from deltacharger_bringup.records.replay.picture import PictureError, draw
 from deltacharger_bringup.records.replay.run import Phase, Run, Series, Touch
 from deltacharger_core.ros.outcomes import Outcome
-from deltacharger_docking.clearance import MisalignmentEstimate
-from deltacharger_docking.codes import Code
+from deltacharger_docking import clearance, codes
 
 
-def outcome(code: Code = Code.NONE, message: str = "") -> Outcome:
-    return Outcome("dock", code == Code.NONE, int(code), code.name, message, False, 2.9)
+def outcome(code: codes.Code = codes.Code.NONE, message: str = "") -> Outcome:
+    return Outcome("dock", code == codes.Code.NONE, int(code), code.name, message, False, 2.9)
 
 
 def hours() -> Run:
     """Return a run of hours, without curves and with measurements of nothing."""
     run = Run(phases=[Phase("measure", 0.0, 3.0), Phase("charging", 3.0, 9000.0)], charged=8997.0, end=9000.0)
-    known, unknown = MisalignmentEstimate(*[1e-3] * 6), MisalignmentEstimate(*[math.nan] * 6)
+    known, unknown = clearance.MisalignmentEstimate(*[1e-3] * 6), clearance.MisalignmentEstimate(*[math.nan] * 6)
     frame = np.zeros((10, 10))
     frame[0, 0] = math.nan
     run.touches = [Touch(number, each, number, (frame, frame)) for number, each in enumerate([known, unknown] * 3, 1)]
@@ -32,7 +29,7 @@ def hours() -> Run:
 
 
 @pytest.mark.rest
-@pytest.mark.parametrize("run", [Run(), Run(results=[outcome(Code.UNREACHABLE, "stand closer " * 40)]), hours()])
+@pytest.mark.parametrize("run", [Run(), Run(results=[outcome(codes.Code.UNREACHABLE, "stand closer " * 40)]), hours()])
 def test_it_is_drawn_from_any_data(run: Run, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="pictures need deltacharger[picture]")
     path = tmp_path / "dock.png"

@@ -5,8 +5,6 @@ A recording whose messages have other fields than ours is refused by name; force
 geometry, gravity and servos, live and in a record.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 from importlib.util import find_spec
@@ -25,13 +23,10 @@ from rclpy.serialization import serialize_message
 from deltacharger_bringup.records.node_parameters import with_geometry
 from deltacharger_bringup.records.recording import mcap_recording
 from deltacharger_bringup.records.recording.mcap_recording import McapWriter
-from deltacharger_bringup.records.replay.record import replay
-from deltacharger_bringup.records.replay.words import story, why
-from deltacharger_core.machine import JOINTS
-from deltacharger_core.mcap_file import Raw
+from deltacharger_bringup.records.replay import record, words
+from deltacharger_core import machine, mcap_file
 from deltacharger_docking.codes import Code, State
-from deltacharger_kinematics.geometry import DeltaGeometry, LimbAdjustment, save_geometry
-from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_kinematics import geometry, scalar
 
 from ..bringup.command import Capture, answer, refuses
 
@@ -70,16 +65,25 @@ def has(text: str, *nouns: str) -> None:
 
 
 def test_a_critical_angle_is_explained_by_the_remaining_clearance(tilted: Path, tmp_path: Path) -> None:
-    has(why(replay(tilted)), "12.6° ± 0.3°", "two contacts", "−0.3 mm", "Level the target", "home again at 3.0 s")
+    has(
+        words.why(record.replay(tilted)),
+        "12.6° ± 0.3°",
+        "two contacts",
+        "−0.3 mm",
+        "Level the target",
+        "home again at 3.0 s",
+    )
     tape = docking(measured(2.7, 10.6), measured(2.9, 10.6), *refused(Code.CRITICAL_ANGLE, "tilted by 10.6°"))
-    has(why(replay(write(tmp_path / "a.mcap", tape))), "0.9 mm, 0.3 mm after", "3 standard deviations")
+    has(words.why(record.replay(write(tmp_path / "a.mcap", tape))), "0.9 mm, 0.3 mm after", "3 standard deviations")
     light = decision(2.2, State.CONTACT, "touched", "the touch is too light for an estimate", angle_rad=0.3)
     touched = decision(2.4, State.CONTACT, "touched", "the first touch gives an estimate", angle_rad=0.22)
-    found = replay(write(tmp_path / "touch.mcap", docking(light, touched, *refused(Code.CRITICAL_ANGLE, TILTED))))
-    has(why(found), "the angle was measured as 12.6°")
+    found = record.replay(
+        write(tmp_path / "touch.mcap", docking(light, touched, *refused(Code.CRITICAL_ANGLE, TILTED)))
+    )
+    has(words.why(found), "the angle was measured as 12.6°")
     assert [(touch.contact, touch.estimate.sure) for touch in found.touches] == [(1, True)]
     tape = [state(0.0, State.IDLE), *readings(0.0, 2.0), *refused(Code.CRITICAL_ANGLE, "the roll is 17.2°", at=1.0)]
-    has(why(replay(write(tmp_path / "given.mcap", tape))), "before anything was measured", "17.2°")
+    has(words.why(record.replay(write(tmp_path / "given.mcap", tape))), "before anything was measured", "17.2°")
 
 
 @pytest.mark.parametrize(
@@ -95,23 +99,25 @@ def test_every_ending_is_explained_with_a_remedy(
 ) -> None:
     verdict = decision(2.8, State.MEASURE, "verdict", "too close", clearance_m=0.0041)
     tape = docking(measured(2.8, 3.0, vertical=1e-3), verdict, *refused(code, message))
-    has(why(replay(write(tmp_path / "a.mcap", tape, result(code, message)))), *nouns, "home again at 3.0 s")
+    has(
+        words.why(record.replay(write(tmp_path / "a.mcap", tape, result(code, message)))), *nouns, "home again at 3.0 s"
+    )
 
 
 def test_a_docking_that_charged_is_described_with_numbers(tapes: Path) -> None:
     numbers = ("in 3.0 s", "0.45 A", "17.2 N", "0.0 mm, 1.0 mm and 3.0°", "4.1 mm of clearance", "5.0 s", "5.00 A")
-    has(why(replay(tapes / "charged.mcap")), "Docked and charging", *numbers, "undocked")
+    has(words.why(record.replay(tapes / "charged.mcap")), "Docked and charging", *numbers, "undocked")
 
 
 def test_the_story_is_in_order_with_every_state_and_decision(tilted: Path, capsys: Capture) -> None:
-    found = replay(tilted)
-    lines = story(found)
+    found = record.replay(tilted)
+    lines = words.story(found)
     assert [line.split()[2].strip(",:") for line in lines] == [
         *("idle", "accepted", "approach", "contact", "contact", "measure", "measured", "measured"),
         *("interrupted", "retract", "retracted", "idle"),
     ]
     code, told = answer(capsys, "replay", tilted)
-    assert (code, told["story"], told["why"]) == (0, lines, why(found))
+    assert (code, told["story"], told["why"]) == (0, lines, words.why(found))
     assert told["outcome"] == {"success": False, "code": 403, "name": "CRITICAL_ANGLE", "message": TILTED}
     assert told["measurements"][1]["angle"] == pytest.approx(0.2217, abs=1e-4)
     assert "misalignment" in told["dropped"]["missing"]
@@ -143,9 +149,9 @@ def test_two_chargers_in_one_recording_need_a_namespace(tmp_path: Path, capsys: 
     with McapWriter(path.open("wb"), topics) as writer:
         for topic, code in zip(topics, (302, 305), strict=True):
             for time, state_message in ((1, DockingState(state=2)), (2, DockingState(state=0, error_code=code))):
-                writer.add(Raw(topic, time * 10**9, time * 10**9, serialize_message(state_message)))
+                writer.add(mcap_file.Raw(topic, time * 10**9, time * 10**9, serialize_message(state_message)))
     refuses(capsys, f"replay {path}", "--namespace")
-    assert replay(path, "right").outcome()["name"] == "STUCK"
+    assert record.replay(path, "right").outcome()["name"] == "STUCK"
 
 
 @pytest.mark.parametrize(
@@ -169,18 +175,18 @@ def test_a_recording_of_messages_with_other_fields_is_refused_by_name(
         refuses(capsys, f"{command} {path}", f"{NAMES[topic]} has other fields")
 
 
-LIMBS = (LimbAdjustment(arm=0.101), LimbAdjustment(angle_offset=0.05), LimbAdjustment())
-CALIBRATED = DeltaGeometry(arm=0.103, limbs=LIMBS)
+LIMBS = (geometry.LimbAdjustment(arm=0.101), geometry.LimbAdjustment(angle_offset=0.05), geometry.LimbAdjustment())
+CALIBRATED = geometry.DeltaGeometry(arm=0.103, limbs=LIMBS)
 TURNED = {"gravity": (0.0, -6.0, 7.76), "torque_constant": 1.1}
 PLACE, PUSH = (0.004, -0.003, 0.07), 12.0  # m, N
 
 
 def pushing() -> ServoState:
     """Return servo_state of that charger while it pushes at that place."""
-    delta = ScalarDelta(CALIBRATED)
+    delta = scalar.ScalarDelta(CALIBRATED)
     held = delta.holding_torque(*PLACE, TURNED["gravity"])
     lever = delta.jacobian(*PLACE)[6:9]
-    message = ServoState(name=list(JOINTS), valid=[True] * 3)
+    message = ServoState(name=list(machine.JOINTS), valid=[True] * 3)
     message.position = list(delta.inverse(*PLACE))
     message.current = [(hold + PUSH * each) / TURNED["torque_constant"] for hold, each in zip(held, lever, strict=True)]
     return message
@@ -189,7 +195,7 @@ def pushing() -> ServoState:
 @pytest.fixture
 def settings(tmp_path: Path) -> dict[str, Any]:
     """docking_node's parameters; the geometry is in its file only."""
-    save_geometry(CALIBRATED, tmp_path / "arm.yaml")
+    geometry.save_geometry(CALIBRATED, tmp_path / "arm.yaml")
     return {
         **TURNED,
         "geometry_file": str(tmp_path / "arm.yaml"),
@@ -202,7 +208,7 @@ def test_a_record_is_replayed_with_its_own_settings(tmp_path: Path, settings: di
     tape = [*docking(until=0.0), *(raw(2.6 + 0.01 * step, "servo_state", pushing()) for step in range(50))]
     path = write(tmp_path / "a.mcap", tape, parameters=with_geometry(settings) if own else {})
     Path(settings["geometry_file"]).unlink()  # on another computer
-    motion = replay(path).motion.arrays()
+    motion = record.replay(path).motion.arrays()
     assert len(motion["z"]) == 50
     right = [motion["z"][-1] == pytest.approx(PLACE[2], abs=1e-9), motion["force"][-1] == pytest.approx(PUSH, abs=1e-6)]
     assert right == [own, own]

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`deltacharger tactile record` with a running charger: real nodes, real bytes, simulated world."""
 
-from __future__ import annotations
-
 import json
 import math
 import signal

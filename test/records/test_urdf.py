@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The URDF closes the loops of the delta: by forward kinematics, both ends of each rod meet arm and platform."""
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parts of the view that need no viewer: shapes, colours, texts, and the message without Rerun."""
 
-from __future__ import annotations
-
 import sys
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The client with a charger that answers goals slowly or never, or whose answers are lost."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -12,12 +10,8 @@ from deltacharger.action import Dock, Undock
 from rclpy.action.server import ActionServer, CancelResponse, GoalResponse
 from rclpy.node import Node
 
-from deltacharger_core.ros import client as client_module
-from deltacharger_core.ros.action_caller import LOST, ActionCaller
+from deltacharger_core.ros import action_caller, client as client_module, executor, messages, outcomes
 from deltacharger_core.ros.client import ChargerClient, ClientError
-from deltacharger_core.ros.executor import Spinner
-from deltacharger_core.ros.messages import CODES
-from deltacharger_core.ros.outcomes import DockRequest, Pose
 from deltacharger_docking.codes import Code
 
 from ..chargers import DEADLINE, wait_until
@@ -25,7 +19,7 @@ from ..nodes import options
 
 pytestmark = pytest.mark.ros
 
-GOAL = DockRequest(Pose(0.0, 0.0, 0.080))
+GOAL = outcomes.DockRequest(outcomes.Pose(0.0, 0.0, 0.080))
 
 
 class Server:
@@ -62,7 +56,7 @@ class Server:
         ]
         self.dock = self._servers[0]
         self._handle, self.dock._handle = self.dock._handle, self
-        self._spinner = Spinner(node)
+        self._spinner = executor.Spinner(node)
 
     def __getattr__(self, name: str) -> Any:
         """Stand in for the handle of dock's server."""
@@ -149,8 +143,8 @@ def test_a_callers_unanswered_goal_is_lost(serve: Callable[..., Server], context
     serve(decides=False)
     ends: list[tuple[Any, ...]] = []
     node = Node("mission_node", **options(context, namespace))
-    caller = ActionCaller(node, Dock, "dock", lambda *end: ends.append(end), lost_timeout=0.3)
-    spinner = Spinner(node)
+    caller = action_caller.ActionCaller(node, Dock, "dock", lambda *end: ends.append(end), lost_timeout=0.3)
+    spinner = executor.Spinner(node)
     caller.send(7, Dock.Goal())
 
     def ended() -> bool:
@@ -158,7 +152,7 @@ def test_a_callers_unanswered_goal_is_lost(serve: Callable[..., Server], context
         return bool(ends)
 
     wait_until(ended, "the end of the goal")
-    assert ends == [(7, LOST, None, None)]
+    assert ends == [(7, action_caller.LOST, None, None)]
     assert caller.is_settled
     spinner.close(caller)
 
@@ -190,4 +184,4 @@ def test_a_goal_is_cancelled_although_its_acceptance_was_lost(answering: Answeri
 
 
 def test_a_client_names_every_code() -> None:
-    assert {code: Code(code).name for code in Code} == CODES
+    assert {code: Code(code).name for code in Code} == messages.CODES

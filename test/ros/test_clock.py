@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stamps show the computer's clock or /clock, whatever it does."""
 
-from __future__ import annotations
-
 import time
 
 import pytest

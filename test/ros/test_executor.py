@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The executor serves at once in one thread, is idle at rest, runs waiting callbacks aside, and reports errors."""
 
-from __future__ import annotations
-
 import math
 import threading
 import time

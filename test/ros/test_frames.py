@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Poses of charger_base in tf frames are exact or refused by name."""
 
-from __future__ import annotations
-
 import math
 import random
 import threading

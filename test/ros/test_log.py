@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A node's log: any text becomes one line, and a blocked standard error does not block the process."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from typing import Any

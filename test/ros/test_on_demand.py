@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """On-demand subscriptions work only when asked; an answer arrives even late; what is unknown is NaN."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -13,8 +11,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Int64
 
-from deltacharger_core.ros.messages import unknown
-from deltacharger_core.ros.on_demand import LatestMessage, OnDemandSubscription, PolledTopic
+from deltacharger_core.ros import messages, on_demand
 
 from ..chargers import DEADLINE, Spin, wait_until
 from ..nodes import numbers, options
@@ -47,7 +44,7 @@ def test_the_callback_runs_only_while_listening_and_gets_the_newest_first(
     node: Node, publisher: Publisher[Int64]
 ) -> None:
     received: list[int] = []
-    counts = OnDemandSubscription(node, Int64, "counts", lambda message: received.append(message.data), QOS)
+    counts = on_demand.OnDemandSubscription(node, Int64, "counts", lambda message: received.append(message.data), QOS)
     publish(publisher, 1, 2, 3)
     assert received == []
     with counts.listening():
@@ -65,7 +62,7 @@ def test_the_callback_runs_only_while_listening_and_gets_the_newest_first(
 
 def test_a_flood_neither_fills_nor_holds_its_reader(node: Node, publisher: Publisher[Int64]) -> None:
     """It gets as many messages as the depth, the newest."""
-    topic, taken = PolledTopic(node, Int64, "counts", QOS), 0
+    topic, taken = on_demand.PolledTopic(node, Int64, "counts", QOS), 0
     publish(publisher, *range(2 * DEPTH))
     assert [message.data for message, _ in topic.take()] == list(range(DEPTH, 2 * DEPTH))
     publish(publisher, 0)
@@ -78,7 +75,7 @@ def test_a_flood_neither_fills_nor_holds_its_reader(node: Node, publisher: Publi
 
 @pytest.mark.version
 def test_a_latest_message_is_the_newest_from_either_path(node: Node, publisher: Publisher[Int64]) -> None:
-    latest = LatestMessage(node, Int64, "counts", QOS)
+    latest = on_demand.LatestMessage(node, Int64, "counts", QOS)
     assert latest.take() is None
     publish(publisher, 1, 2)
     assert latest.take().data == 2
@@ -98,6 +95,6 @@ def test_a_latest_message_is_the_newest_from_either_path(node: Node, publisher: 
 )
 def test_every_float_of_an_answer_without_measurement_is_nan(kind: Any, count: int) -> None:
     assert 0.0 in list(numbers(kind()))
-    found = list(numbers(unknown(kind())))
+    found = list(numbers(messages.unknown(kind())))
     assert len(found) == count
     assert all(map(math.isnan, found))

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A node has exactly the parameters that its package declares, from parameters or files, and changes them together."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import sys

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Supported ROS versions, and the refusal of others in one line before anything starts."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

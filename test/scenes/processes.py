@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """How people, shells and containers start a charger's processes, and what is left of them."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -4,8 +4,6 @@
 Its exit code is 0 after Ctrl-C; 1, with a reason, if a part has ended or refuses. Without launch: test_stops.py.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

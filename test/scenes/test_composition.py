@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Composition: a failed start leaves nothing running, and the simulated charger closes last."""
 
-from __future__ import annotations
-
 import threading
 from pathlib import Path
 from typing import Any

@@ -5,8 +5,6 @@ Behaviour in every phase is tested in virtual time in test/docking/test_machine_
 wires shows that the contactor opens in time, that nothing keeps moving, and that a restart of the node is enough.
 """
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -15,9 +13,7 @@ import pytest
 from deltacharger.msg import DockingState
 
 from deltacharger_bringup.scenes.scene import parse_scene
-from deltacharger_core.ros.client import ClientError
-from deltacharger_core.ros.messages import CODES
-from deltacharger_core.ros.outcomes import DockRequest
+from deltacharger_core.ros import client, messages, outcomes
 
 from ..chargers import wait_until
 from ..quick import QUICK
@@ -84,7 +80,7 @@ def begin(charger: RunningCharger, phase: str, then: Callable[[], None]) -> Any:
     if phase == "charging":
         then()
         return None
-    request = DockRequest(None) if phase == "locate" else GOAL
+    request = outcomes.DockRequest(None) if phase == "locate" else GOAL
     act = charger.undock if phase == "retract" else lambda: charger.dock(request)
     return charger.begin(phase, act, then)
 
@@ -112,7 +108,7 @@ def assert_ended(charger: RunningCharger, goal: Any, name: str) -> None:
     elif name in LIMITS:
         wait_until(lambda: charger.state.error_code, "a code in docking_state")
         wait_until(lambda: charger.state.state == DockingState.STATE_IDLE, "the way back")
-        assert CODES[charger.state.error_code] in ENDS[name], charger.state.error_message
+        assert messages.CODES[charger.state.error_code] in ENDS[name], charger.state.error_message
 
 
 @pytest.mark.night
@@ -142,7 +138,7 @@ def test_a_struck_node_does_no_harm_and_a_restart_is_enough(
     if (name, number) != ("docking_node", KILL):
         assert_ended(charger, goal, name)
     elif goal is not None:
-        with pytest.raises(ClientError):
+        with pytest.raises(client.ClientError):
             goal.result()
     if number == KILL:
         charger.restart(name)
@@ -161,7 +157,7 @@ def test_all_nodes_are_stopped_at_once_and_continue(charger: RunningCharger) -> 
     for name in reversed(NODES):
         charger.restart(name)
     wait_until(lambda: charger.state.error_code, "a code in docking_state")
-    assert CODES[charger.state.error_code] in ("SERVO_STALE", "POWER_STALE"), charger.state.error_message
+    assert messages.CODES[charger.state.error_code] in ("SERVO_STALE", "POWER_STALE"), charger.state.error_message
     wait_until(lambda: charger.state.state == DockingState.STATE_IDLE, "the way back")
     assert not [event for event in charger.world.since(0, 0, True) if event.time > at]
     charger.go_home()

@@ -1,19 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The mocked power obeys the law of leases that the layers above rely on."""
 
-from __future__ import annotations
-
 import pytest
 
-from deltacharger_core.machine import (
-    ChargeLimits,
-)
+from deltacharger_core import machine
 from deltacharger_driver.board.contactor import LeaseRefused
 from deltacharger_sim.mocks.mock_tactile_node import CHARGE_CURRENT, MockPower
 
 pytestmark = pytest.mark.ros
 
-LIMITS = ChargeLimits(10.0, 29.4)
+LIMITS = machine.ChargeLimits(10.0, 29.4)
 
 
 def test_current_flows_only_while_leased_and_in_contact() -> None:

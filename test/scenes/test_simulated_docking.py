@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Docking with the real actions, drivers and bytes, in the simulated world: to coordinates, by camera, and wired."""
 
-from __future__ import annotations
-
 import math
 import threading
 from dataclasses import replace

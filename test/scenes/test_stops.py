@@ -5,8 +5,6 @@ Started by `deltacharger up`, and as nodes in separate processes. Each time, the
 arm ends without torque. A wrongly configured process ends with 2 and a reason. Under launch: test_charger_launch.py.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """An arm in simulated time: commanded by platform positions, in the real world model."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

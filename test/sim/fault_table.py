@@ -10,8 +10,6 @@ within 0.35 s (lease and heartbeat), plus the time to notice the fault: 0.1 s fo
 servo that does not answer.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,28 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """The circuit behind the board: contacts, contactor, sag, heat, and electrodes that are wired to the battery."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
 import pytest
 
 from deltacharger_core.machine import BAR_LENGTH, Port, port_of
+from deltacharger_sim import parameters, touch
 from deltacharger_sim.circuit import Circuit, Overlap
 from deltacharger_sim.emulators.power import Outputs, PortParameters
-from deltacharger_sim.parameters import CircuitParameters
-from deltacharger_sim.touch import Bars
 
 FULL = Overlap(0.0, 0.0, 0.0)
 HALF = Overlap(0.5 * BAR_LENGTH, 0.0, 0.0)
 BRIDGED = Overlap(0.0, 0.0, math.radians(14.0))
-PRESSED = Bars.flat(77.0)
-LIFTED = Bars(0.0, 77.0, 0.0, 1.0)
+PRESSED = touch.Bars.flat(77.0)
+LIFTED = touch.Bars(0.0, 77.0, 0.0, 1.0)
 
 
 def run(
-    circuit: Circuit, seconds: float, lies: Overlap | None = FULL, bars: Bars = PRESSED, step: float = 0.005
+    circuit: Circuit, seconds: float, lies: Overlap | None = FULL, bars: touch.Bars = PRESSED, step: float = 0.005
 ) -> Circuit:
     for _ in range(round(seconds / step)):
         circuit.step(step, lies, bars)
@@ -30,10 +27,10 @@ def run(
 
 
 def make(
-    lies: Overlap | None = FULL, bars: Bars = PRESSED, port: dict[str, float] | None = None, **changes: Any
+    lies: Overlap | None = FULL, bars: touch.Bars = PRESSED, port: dict[str, float] | None = None, **changes: Any
 ) -> Circuit:
     """A circuit whose electrodes have just touched."""
-    made = Circuit(CircuitParameters(**changes), PortParameters(**(port or {})))
+    made = Circuit(parameters.CircuitParameters(**changes), PortParameters(**(port or {})))
     return run(made, 0.02, lies, bars)
 
 
@@ -61,17 +58,19 @@ def test_the_output_follows_the_target_after_the_pre_charge_and_the_contacts_the
 @pytest.mark.parametrize(
     ("lies", "bars", "ohm"),
     [
-        (FULL, Bars.flat(80.0), 0.01),
-        (FULL, Bars.flat(20.0), 0.02),
-        (HALF, Bars.flat(31.0), 0.01 / (HALF.fraction * math.sqrt(31.0 / 80.0))),
+        (FULL, touch.Bars.flat(80.0), 0.01),
+        (FULL, touch.Bars.flat(20.0), 0.02),
+        (HALF, touch.Bars.flat(31.0), 0.01 / (HALF.fraction * math.sqrt(31.0 / 80.0))),
         # Two contacts in series, each with its own force and pressed length.
-        (FULL, Bars(10.0, 70.0), 0.005 * (math.sqrt(40.0 / 10.0) + math.sqrt(40.0 / 70.0))),
-        (FULL, Bars(40.0, 40.0, 0.25, 1.0), 0.005 * (4.0 + 1.0)),
+        (FULL, touch.Bars(10.0, 70.0), 0.005 * (math.sqrt(40.0 / 10.0) + math.sqrt(40.0 / 70.0))),
+        (FULL, touch.Bars(40.0, 40.0, 0.25, 1.0), 0.005 * (4.0 + 1.0)),
         (FULL, LIFTED, math.inf),
-        (FULL, Bars(77.0, 0.0, 1.0, 0.0), math.inf),
+        (FULL, touch.Bars(77.0, 0.0, 1.0, 0.0), math.inf),
     ],
 )
-def test_contact_resistance_follows_overlap_and_the_force_on_each_bar(lies: Overlap, bars: Bars, ohm: float) -> None:
+def test_contact_resistance_follows_overlap_and_the_force_on_each_bar(
+    lies: Overlap, bars: touch.Bars, ohm: float
+) -> None:
     circuit = make(lies, bars)
     circuit.drive(Outputs(True, True, 2.0, 29.4))
     run(circuit, 0.2, lies, bars)
@@ -123,7 +122,7 @@ def test_a_welded_contactor_stays_closed_and_what_flows_flows_on() -> None:
 
 def test_heat_is_reported_of_the_bar_with_the_larger_resistance() -> None:
     circuit = charging()
-    for bars, share in ((Bars.flat(80.0), 1.0), (Bars(2.5, 77.5), 4.0), (Bars(77.5, 2.5), 4.0)):
+    for bars, share in ((touch.Bars.flat(80.0), 1.0), (touch.Bars(2.5, 77.5), 4.0), (touch.Bars(77.5, 2.5), 4.0)):
         run(circuit, 0.005, bars=bars)
         assert circuit.heat == pytest.approx(10.0**2 * 0.005 * share)
 

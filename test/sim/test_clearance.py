@@ -1,14 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The exact geometry of the bars, compared with brute force and with docking's clearance formula."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from deltacharger_core.machine import BAR_GAP, BAR_HEIGHT, BAR_LENGTH
 from deltacharger_docking import clearance

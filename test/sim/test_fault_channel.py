@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Faults by request: every kind is caused and ended; silent clients delay nobody; clients trust no other program."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import socket

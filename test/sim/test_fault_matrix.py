@@ -5,8 +5,6 @@ One charger serves all cells, and no node is restarted. The servos' driver is sh
 (test/driver/test_servo_faults.py), docking's machine what it sees (test/docking/test_machine_faults.py).
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Iterator

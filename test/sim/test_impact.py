@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Laws of an impact within a step: energy, the spring alone, rest, and independence of the step."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

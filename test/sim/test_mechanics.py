@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Laws of the mechanics: statics, limits, contact, energy, symmetry, rest, and parts that are disabled."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import random
@@ -14,13 +12,8 @@ import pytest
 from deltacharger_core.machine import STALL_TORQUE, TORQUE_CONSTANT
 from deltacharger_kinematics.geometry import DeltaGeometry, LimbAdjustment
 from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_sim import parameters
 from deltacharger_sim.mechanics import Linkage
-from deltacharger_sim.parameters import (
-    ContactParameters,
-    MagnetParameters,
-    TargetParameters,
-    WorldParameters,
-)
 from deltacharger_sim.world import World
 from test.plain import plain_servo
 
@@ -28,8 +21,8 @@ DELTA = ScalarDelta()
 SLIPPERY = plain_servo(friction=0.0)
 SWINGING = plain_servo(friction=0.0, viscosity=0.02, damping=0.0)
 LIMP = plain_servo(friction=0.0, unpowered_friction=0.0)
-NO_MAGNETS = MagnetParameters(force=0.0)
-NO_TARGET = TargetParameters(present=False)
+NO_MAGNETS = parameters.MagnetParameters(force=0.0)
+NO_TARGET = parameters.TargetParameters(present=False)
 ArmFactory = Callable[..., Any]
 
 
@@ -42,7 +35,7 @@ def test_its_gears_friction_carries_the_arm_without_power(arm: ArmFactory) -> No
 
 @pytest.mark.parametrize("point", [(0.0, 0.0, 0.08), (-0.05, 0.05, 0.1)])
 def test_at_rest_the_servos_carry_only_the_weight(arm: ArmFactory, point: Any) -> None:
-    still = arm(WorldParameters(servo=SLIPPERY, target=NO_TARGET))
+    still = arm(parameters.WorldParameters(servo=SLIPPERY, target=NO_TARGET))
     still.go(point, 2.0)
     mechanics = still.world.mechanics
     assert mechanics.position == pytest.approx(point, abs=1e-6)
@@ -52,7 +45,7 @@ def test_at_rest_the_servos_carry_only_the_weight(arm: ArmFactory, point: Any) -
 
 @pytest.mark.parametrize("bound", [0.0, 0.3, 100.0])
 def test_no_servo_exceeds_its_current_bound_or_its_stall_torque(arm: ArmFactory, bound: float) -> None:
-    bounded = arm(WorldParameters(servo=plain_servo(stiffness=40.0)))
+    bounded = arm(parameters.WorldParameters(servo=plain_servo(stiffness=40.0)))
     bounded.go((0.0, 0.0, 0.06))
     bounded.aim((0.0, 0.0, 0.105), bound)
     for _ in range(200):
@@ -64,7 +57,7 @@ def test_no_servo_exceeds_its_current_bound_or_its_stall_torque(arm: ArmFactory,
 def test_the_state_stays_finite_balanced_and_between_the_stops_for_any_command(arm: ArmFactory, step: float) -> None:
     """Long steps are halved until they balance."""
     draw, geometry = random.Random(3), DeltaGeometry()
-    rough = arm(WorldParameters(), step)
+    rough = arm(parameters.WorldParameters(), step)
     for trial in range(40):
         beyond = trial % 8 == 0  # the stops, for long enough to come to rest there
         for index in range(3):
@@ -81,14 +74,14 @@ def test_the_state_stays_finite_balanced_and_between_the_stops_for_any_command(a
             assert all(geometry.joint_min - 0.01 < a < geometry.joint_max + 0.01 for a in state.angles)
 
 
-def electrode_force(contact: ContactParameters, depth: float) -> float:
+def electrode_force(contact: parameters.ContactParameters, depth: float) -> float:
     return 2.0 * contact.stiffness * depth + contact.hard_stop_stiffness * max(depth - contact.hard_stop, 0.0)
 
 
 @pytest.mark.parametrize(("stiffness", "step"), [(1e3, 0.02), (1e5, 0.001), (1e9, 0.1)])
 def test_settled_force_does_not_depend_on_the_step(arm: ArmFactory, stiffness: float, step: float) -> None:
-    contact = ContactParameters(stiffness=stiffness)
-    pressing = arm(WorldParameters(servo=SLIPPERY, contact=contact, gravity_y=0.0), step)
+    contact = parameters.ContactParameters(stiffness=stiffness)
+    pressing = arm(parameters.WorldParameters(servo=SLIPPERY, contact=contact, gravity_y=0.0), step)
     pressing.go((0.0, 0.0, 0.07), 0.8)
     pressing.go((0.0, 0.0, 0.086), 1.2)
     mechanics = pressing.world.mechanics
@@ -106,7 +99,7 @@ def test_settled_force_does_not_depend_on_the_step(arm: ArmFactory, stiffness: f
 
 @pytest.mark.parametrize("offset", [0.0, 0.008])
 def test_the_force_is_the_sum_of_servos_and_magnets(arm: ArmFactory, offset: float) -> None:
-    pressing = arm(WorldParameters(servo=plain_servo(), target=TargetParameters(x=offset)))
+    pressing = arm(parameters.WorldParameters(servo=plain_servo(), target=parameters.TargetParameters(x=offset)))
     pressing.go((0.0, 0.0, 0.07))
     pressing.go((0.0, 0.0, 0.0865))
     world, mechanics = pressing.world, pressing.world.mechanics
@@ -119,7 +112,7 @@ def test_the_force_is_the_sum_of_servos_and_magnets(arm: ArmFactory, offset: flo
 
 @pytest.mark.parametrize(("step", "lateral"), [(0.001, 0.0), (0.05, 0.02)])
 def test_energy_never_grows_in_free_fall_onto_target_and_stops(arm: ArmFactory, step: float, lateral: float) -> None:
-    falling = arm(WorldParameters(servo=LIMP, magnets=NO_MAGNETS, gravity_y=-4.0, gravity_z=6.0), step)
+    falling = arm(parameters.WorldParameters(servo=LIMP, magnets=NO_MAGNETS, gravity_y=-4.0, gravity_z=6.0), step)
     falling.go((lateral, 0.0, 0.05), 1.0)
     falling.release()
     energies = [falling.energy()]
@@ -134,7 +127,7 @@ def test_energy_never_grows_in_free_fall_onto_target_and_stops(arm: ArmFactory, 
 def test_without_a_d_gain_only_viscosity_brakes_a_swing() -> None:
     swings = []
     for servo, braking in ((plain_servo(friction=0.0, viscosity=0.02), 0.0), (SWINGING, 1.0)):
-        world = World(WorldParameters(servo=servo, target=NO_TARGET, gravity_y=0.0), start=(0.0, 0.0, 0.08))
+        world = World(parameters.WorldParameters(servo=servo, target=NO_TARGET, gravity_y=0.0), start=(0.0, 0.0, 0.08))
         for index, goal in enumerate(DELTA.inverse(0.0, 0.0, 0.081)):
             world.command(index, True, goal, 4.1, 1.0, braking)
         swings.append([])
@@ -151,8 +144,8 @@ def test_without_a_d_gain_only_viscosity_brakes_a_swing() -> None:
 
 def test_gears_take_their_friction_and_a_share_of_the_torque_from_a_push(arm: ArmFactory) -> None:
     servo = plain_servo(damping=3.0, friction=0.1, friction_share=0.2)  # it creeps, so that it ends pushing
-    soft = ContactParameters(stiffness=1e4)  # its compression of 1 mm stretches the gears' bristles
-    pressing = arm(WorldParameters(servo=servo, contact=soft, magnets=NO_MAGNETS, gravity_y=0.0))
+    soft = parameters.ContactParameters(stiffness=1e4)  # its compression of 1 mm stretches the gears' bristles
+    pressing = arm(parameters.WorldParameters(servo=servo, contact=soft, magnets=NO_MAGNETS, gravity_y=0.0))
     pressing.go((0.0, 0.0, 0.07))
     pressing.go((0.0, 0.0, 0.09), 3.0)
     mechanics = pressing.world.mechanics

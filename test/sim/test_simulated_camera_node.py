@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """simulated_camera_node on the topics of a real camera: contents of its pictures."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The simulated hardware: two ports that answer like the robot's, in this process or in a separate one."""
 
-from __future__ import annotations
-
 import json
 import signal
 import threading

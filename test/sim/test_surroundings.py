@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What gives way around the arm: the cable, and both robots on their wheels."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The target: its magnets' law, their effects on the arm, and a target that moves under the electrodes."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

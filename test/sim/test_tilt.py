@@ -1,15 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """A platform that yields to an off-centre or tilted contact: closed forms, limits, effects."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
-from deltacharger_sim.pads import ContactSource
+from deltacharger_sim import pads, touch
 from deltacharger_sim.parameters import (
     ContactParameters,
     PlatformParameters,
@@ -17,7 +15,6 @@ from deltacharger_sim.parameters import (
     TargetParameters,
     WorldParameters,
 )
-from deltacharger_sim.touch import PAD, PADS_TURN, PlatformTilt
 from deltacharger_tactile.contact import ContactModel
 
 ArmFactory = Callable[..., Any]
@@ -27,8 +24,8 @@ PADS = 2.0 * 1.5e5 * 0.048**2  # N·m/rad, both pads about y
 
 def tilting(
     compliance: float = SOFT, at: tuple[float, float] = (0.0, 0.0), stiffness: float = 1e5, **target: float
-) -> PlatformTilt:
-    tilt = PlatformTilt(
+) -> touch.PlatformTilt:
+    tilt = touch.PlatformTilt(
         WorldParameters(
             contact=ContactParameters(stiffness=stiffness),
             platform=PlatformParameters(compliance=compliance),
@@ -51,7 +48,7 @@ def test_the_stiffness_is_the_slope_of_the_force(place: tuple[float, float], slo
         assert stiffness == pytest.approx((ahead - behind) / (2.0 * step), rel=1e-3)
 
 
-def bed(tilt: PlatformTilt, depth: float, at: tuple[float, float], angles: np.ndarray) -> np.ndarray:
+def bed(tilt: touch.PlatformTilt, depth: float, at: tuple[float, float], angles: np.ndarray) -> np.ndarray:
     """Return Σ N, Σ u N less the pads' moment, and Σ v N of 20 000 springs along each bar, from their positions."""
     x, y = at
     tilt_x, tilt_y = tilt._target
@@ -120,12 +117,12 @@ def test_tilt_moves_the_terminals_and_so_the_clearance_unless_friction_holds_the
 @pytest.mark.parametrize("force", [60.0, 100.0])
 def test_the_pads_moment_agrees_with_the_tactile_contact_model(force: float) -> None:
     """One stiffness represents a force-dependent one: within a tenth at 60 to 100 N."""
-    model, turn = ContactModel(), PADS_TURN
+    model, turn = ContactModel(), touch.PADS_TURN
     distance = model.parameters.pad_distance
-    assert distance == PAD
+    assert distance == touch.PAD
     for residual in (1e-4, 3e-3, 0.05):
         left, right = model.solve((0.0, 0.0, 0.0), force, (0.0, residual))[0].sum(axis=(1, 2))
-        expected = min(turn * residual, force * PAD)
+        expected = min(turn * residual, force * touch.PAD)
         assert distance * (left - right) == pytest.approx(expected, rel=0.12)
 
 
@@ -147,4 +144,4 @@ def yawed_target_comes_nearer_on_that_side_and_loads_that_pad(arm: ArmFactory, s
 
 
 def test_a_target_yawed_about_y_comes_nearer_on_that_side_and_loads_that_pad(arm: ArmFactory) -> None:
-    yawed_target_comes_nearer_on_that_side_and_loads_that_pad(arm, ContactSource, SOFT)
+    yawed_target_comes_nearer_on_that_side_and_loads_that_pad(arm, pads.ContactSource, SOFT)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The complete world: contacts and their jitter, records, the emulators' plant, and reproducibility."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any
@@ -10,20 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deltacharger_core.machine import POSITION_D_GAIN, POSITION_P_GAIN
-from deltacharger_core.servo_types import MX_64
+from deltacharger_core import machine, servo_types
 from deltacharger_driver.servos.registers import REGISTERS, TICK
+from deltacharger_sim import parameters
 from deltacharger_sim.emulators.servo import OK
 from deltacharger_sim.emulators.servo_bus import ServoBusEmulator
-from deltacharger_sim.parameters import (
-    TargetParameters,
-    WorldParameters,
-)
 from deltacharger_sim.world import SharedWorld, World
 from test.plain import plain_servo
 
 ArmFactory = Callable[..., Any]
-SIX_DEGREES = TargetParameters(roll=math.radians(6.0))
+SIX_DEGREES = parameters.TargetParameters(roll=math.radians(6.0))
 
 
 class Pads:
@@ -47,7 +41,7 @@ class Pads:
 class TestContact:
     def test_each_contact_has_its_own_jitter_which_affects_clearance(self, arm: ArmFactory) -> None:
         pads = Pads()
-        touching = arm(WorldParameters(target=SIX_DEGREES), tactile=pads)
+        touching = arm(parameters.WorldParameters(target=SIX_DEGREES), tactile=pads)
         clearances = []
         for docking in (1, 2):
             touching.go((0.0, 0.0, 0.07))
@@ -66,7 +60,7 @@ class TestContact:
 
 class TestRecord:
     def test_a_short_while_charging_is_recorded_and_one_without_energy_is_not(self, arm: ArmFactory) -> None:
-        dragged = arm(WorldParameters(servo=plain_servo(), target=SIX_DEGREES))
+        dragged = arm(parameters.WorldParameters(servo=plain_servo(), target=SIX_DEGREES))
         dragged.charge()
         for side in range(1, 61):
             dragged.go((0.0, 0.001 * side, 0.085), 0.1)
@@ -77,7 +71,7 @@ class TestRecord:
         assert dragged.world.record.energised_shorts == 1
         assert dragged.world.record.energised_unsafe > 0.0
         assert (dragged.world.record.parted_live, dragged.world.record.unpowered_live) == (0, 0)
-        dead = arm(WorldParameters(target=TargetParameters(roll=math.radians(15.0))))
+        dead = arm(parameters.WorldParameters(target=parameters.TargetParameters(roll=math.radians(15.0))))
         dead.dock()
         assert dead.world.snapshot().clearance < 0.0
         assert (dead.world.record.energised_shorts, dead.world.record.energised_unsafe) == (0, 0.0)
@@ -98,17 +92,19 @@ class TestRecord:
 class TestServos:
     @pytest.mark.parametrize("share", [0.0, 0.1])
     def test_the_current_read_is_the_torque_with_noise_in_counts(self, arm: ArmFactory, share: float) -> None:
-        still = arm(WorldParameters(servo=plain_servo(current_noise_share=share)))
+        still = arm(parameters.WorldParameters(servo=plain_servo(current_noise_share=share)))
         still.go((0.0, 0.0, 0.05))
         true = still.world.mechanics.torques[1] / (6.0 / 4.1)
         readings = np.array([still.world.servo(1)[2] for _ in range(2000)])
         assert readings.mean() == pytest.approx(true, abs=1e-3)
         assert readings.std() == pytest.approx(0.008 + share * abs(true), rel=0.1)
-        assert readings / MX_64.current_unit == pytest.approx(np.round(readings / MX_64.current_unit), abs=1e-9)
+        assert readings / servo_types.MX_64.current_unit == pytest.approx(
+            np.round(readings / servo_types.MX_64.current_unit), abs=1e-9
+        )
 
     def test_play_lets_the_encoder_run_ahead_of_the_arm_by_at_most_half(self, arm: ArmFactory) -> None:
-        loose = arm(WorldParameters(servo=plain_servo(friction=0.0, backlash=0.006), target=ALONE))
-        tight = arm(WorldParameters(servo=plain_servo(friction=0.0), target=ALONE))
+        loose = arm(parameters.WorldParameters(servo=plain_servo(friction=0.0, backlash=0.006), target=ALONE))
+        tight = arm(parameters.WorldParameters(servo=plain_servo(friction=0.0), target=ALONE))
         for each in (loose, tight):
             each.go((0.0, 0.0, 0.05), 2.0)
         mechanics = loose.world.mechanics
@@ -123,7 +119,7 @@ class TestServos:
         assert tight.world.mechanics.slack == (0.0, 0.0, 0.0)
 
     def test_the_same_seed_gives_the_same_readings(self) -> None:
-        worlds = [World(WorldParameters(), None, seed) for seed in (4, 4, 5)]
+        worlds = [World(parameters.WorldParameters(), None, seed) for seed in (4, 4, 5)]
         for each in worlds:
             each.command(0, True, -0.5, 4.1)
             each.step()
@@ -136,7 +132,7 @@ class Shared:
 
     def __init__(self) -> None:
         self.now = 100.0
-        self.world = World(WorldParameters())
+        self.world = World(parameters.WorldParameters())
         self.plant = SharedWorld(self.world, lambda: self.now)
 
     def after(self, seconds: float) -> float:
@@ -165,7 +161,7 @@ class TestSharedWorld:
 
 
 def test_a_refused_move_leaves_the_target_in_place() -> None:
-    world = World(WorldParameters())
+    world = World(parameters.WorldParameters())
     for move in ((math.nan, 0.0, 0.0, 0.2), (0.001, 0.0, 0.0, 0.0), (0.001, 0.0, 0.0, math.inf), (0.3, 0.0, 0.0, 0.2)):
         with pytest.raises(ValueError, match=r"finite|outside"):
             world.move_target(*move)
@@ -174,7 +170,7 @@ def test_a_refused_move_leaves_the_target_in_place() -> None:
     assert world.parameters.target.x == 0.0
 
 
-ALONE = TargetParameters(present=False)
+ALONE = parameters.TargetParameters(present=False)
 QUIET = plain_servo(current_noise=0.0, friction=0.0)
 GOALS = (0.1, 0.2, 0.15)
 
@@ -192,17 +188,17 @@ def settled(arm: Any, *gains: float) -> Any:
 
 class TestGains:
     def test_each_servo_has_its_own_gain_also_if_it_changes_at_rest(self, arm: ArmFactory) -> None:
-        resting = arm(WorldParameters(servo=QUIET, target=ALONE))
+        resting = arm(parameters.WorldParameters(servo=QUIET, target=ALONE))
         assert settled(resting, 1.0, 1.0, 1.0) == pytest.approx([15.0] * 3, rel=1e-4)
         assert settled(resting, 1.0, 0.5, 2.0) == pytest.approx([15.0, 7.5, 30.0], rel=1e-4)
 
     def test_the_registers_reach_the_world(self) -> None:
-        world = World(WorldParameters(servo=QUIET, target=ALONE))
+        world = World(parameters.WorldParameters(servo=QUIET, target=ALONE))
         bus, mechanics = ServoBusEmulator(SharedWorld(world, lambda: 0.0)), world.mechanics
-        for name, usual in (("position_p_gain", POSITION_P_GAIN), ("position_d_gain", POSITION_D_GAIN)):
+        for name, usual in (("position_p_gain", machine.POSITION_P_GAIN), ("position_d_gain", machine.POSITION_D_GAIN)):
             register = REGISTERS[name]
             for servo in (1, 2, 3):
                 assert bus.servo(servo).write(register.address, register.to_bytes(servo * usual), 0.0) == OK
         assert mechanics.gains == mechanics.brakes == (1.0, 2.0, 3.0)
         bus.servo(3).reboot(0.0)
-        assert (mechanics.gains[2], mechanics.brakes[2]) == (pytest.approx(850 / POSITION_P_GAIN), 0.0)
+        assert (mechanics.gains[2], mechanics.brakes[2]) == (pytest.approx(850 / machine.POSITION_P_GAIN), 0.0)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Laws of the contact model, the sensor chain, the source that a world samples, and data sets."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from collections.abc import Callable
@@ -15,13 +13,10 @@ import pytest
 import deltacharger_tactile
 from deltacharger_core.machine import DOCKING_JITTER
 from deltacharger_sim.pads import ContactSource, Dockings, Rig, Sensor, generate_continuous
-from deltacharger_tactile import default_model
-from deltacharger_tactile.contact import ContactModel, Waviness
-from deltacharger_tactile.dataset import Dataset
-from deltacharger_tactile.errors import DatasetError
+from deltacharger_tactile import contact, dataset, default_model, errors
 from deltacharger_tactile.parameters import PadContactParameters, SensorParameters, TactileParameters
 
-MODEL = ContactModel()
+MODEL = contact.ContactModel()
 V = 1.2e-3 * (9 - 2 * np.arange(10))  # taxel centres: row 0 at +y, column 0 at +x
 
 
@@ -45,7 +40,7 @@ def test_the_pads_carry_the_entire_force() -> None:
     assert taxels.min() >= 0.0
 
 
-WAVES = Waviness.draw(PadContactParameters(), np.random.default_rng(1))
+WAVES = contact.Waviness.draw(PadContactParameters(), np.random.default_rng(1))
 
 
 def batch_equals_its_single_contacts(solve: Any, error: float) -> None:
@@ -146,7 +141,7 @@ def test_a_seed_determines_the_data_set(tmp_path: Path) -> None:
     assert np.array_equal(data.left, again.left)
     assert not np.array_equal(data.left, other.left)
     data.save(tmp_path / "set.npz")
-    loaded = Dataset.load(tmp_path / "set.npz")
+    loaded = dataset.Dataset.load(tmp_path / "set.npz")
     assert loaded.meta == data.meta
     assert loaded.meta["digest"] == TactileParameters().digest()
     for name in ("left", "tare", "contact_pose", "session", "force"):
@@ -167,7 +162,7 @@ def arrays(tmp_path_factory: pytest.TempPathFactory) -> Arrays:
 def test_missing_optional_arrays_are_unknown(arrays: Arrays, tmp_path: Path) -> None:
     needed = {name: value for name, value in arrays.items() if name not in ("dead", "contact_pose", "force")}
     np.savez(tmp_path / "other.npz", **needed)
-    data = Dataset.load(tmp_path / "other.npz")
+    data = dataset.Dataset.load(tmp_path / "other.npz")
     assert not data.dead.any()
     assert np.isnan(data.force).all()
     assert np.array_equal(data.poses()[:, 2], data.angle)
@@ -197,5 +192,5 @@ def test_a_mistake_is_named(arrays: Arrays, tmp_path: Path, name: str, change: A
     if change:
         wrong[name] = change(wrong[name].copy())
     np.savez(tmp_path / "bad.npz", **wrong)
-    with pytest.raises(DatasetError, match=words):
-        Dataset.load(tmp_path / "bad.npz")
+    with pytest.raises(errors.DatasetError, match=words):
+        dataset.Dataset.load(tmp_path / "bad.npz")

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The packaged model on unseen rigs: precise, with true uncertainties, and out of range if unsure."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

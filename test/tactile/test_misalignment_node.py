@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """misalignment_node with a real ROS client that publishes tactile frames; estimates are in test_perception.py."""
 
-from __future__ import annotations
-
 import math
 import threading
 from array import array
@@ -16,9 +14,8 @@ from deltacharger.srv import PredictMisalignment
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 
+from deltacharger_tactile import errors, misalignment_node
 from deltacharger_tactile.calibration.rig import TactileCalibration
-from deltacharger_tactile.errors import FrameError
-from deltacharger_tactile.misalignment_node import MisalignmentNode, to_frame
 
 from ..chargers import Spin, wait_until
 from ..nodes import call, numbers, options
@@ -60,7 +57,11 @@ def pads(context: Any, spin: Spin, request: pytest.FixtureRequest, tmp_path: Pat
     # An answer's age depends on this computer's load: these tests show other laws.
     TactileCalibration(rig=8).save(tmp_path / "pads.yaml")
     files = {"calibration": str(tmp_path / "pads.yaml"), "classifiers": "tree"}
-    spin(MisalignmentNode(**options(context, rate=20.0, max_age=1.0, **files, **getattr(request, "param", {}))))
+    spin(
+        misalignment_node.MisalignmentNode(
+            **options(context, rate=20.0, max_age=1.0, **files, **getattr(request, "param", {}))
+        )
+    )
     client: Pads = spin(Pads(context))
     wait_until(lambda: client.client.service_is_ready())
     wait_until(lambda: client.publisher.get_subscription_count() == 1)
@@ -107,7 +108,7 @@ def test_refusals_are_unknown_and_list_no_frames(pads: Pads) -> None:
 
 
 def test_a_closing_node_releases_its_requests(context: Any) -> None:
-    node = MisalignmentNode(**options(context, timeout=2.0))
+    node = misalignment_node.MisalignmentNode(**options(context, timeout=2.0))
     response, asked = PredictMisalignment.Response(), PredictMisalignment.Request()
     waiting = threading.Thread(target=node._predict, args=(asked, response))
     waiting.start()
@@ -121,5 +122,5 @@ def test_a_closing_node_releases_its_requests(context: Any) -> None:
 def test_a_frame_of_another_shape_is_refused(rows: int, columns: int, values: int) -> None:
     message = TactileFrame(rows=rows, columns=columns, pitch=0.0024, tared=True)
     message.left = message.right = array("f", [1.0] * values)
-    with pytest.raises(FrameError):
-        to_frame(message, 0.0)
+    with pytest.raises(errors.FrameError):
+        misalignment_node.to_frame(message, 0.0)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The packaged nine models of the paper, and model files: each foreign or damaged one is refused with a reason."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path
@@ -12,28 +10,26 @@ import numpy as np
 import pytest
 
 from deltacharger_sim.pads import generate_paper
-from deltacharger_tactile import MODEL_PATH, PoseEstimator
+from deltacharger_tactile import MODEL_PATH, PoseEstimator, dataset, errors
 from deltacharger_tactile.classifiers import classifier
-from deltacharger_tactile.dataset import SUBSET_ANGLE, SUBSET_POSITION, Dataset
-from deltacharger_tactile.errors import ModelError
 
 from ..marks import rest
 
 
 @pytest.fixture(scope="module")
-def data() -> Dataset:
+def data() -> dataset.Dataset:
     return generate_paper(rigs=(331, 332), seed=6)
 
 
 @pytest.mark.parametrize("name", [rest("knn") if name == "knn" else name for name in classifier.MODELS])
 def test_each_reaches_its_stated_accuracy_without_a_trainer(
-    name: str, data: Dataset, monkeypatch: pytest.MonkeyPatch
+    name: str, data: dataset.Dataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for library in ("torch", "sklearn", "xgboost", "scipy"):
         monkeypatch.setitem(sys.modules, library, None)
     for target, model in classifier.load(name).items():
         is_angle = target == "angle"
-        rows = np.flatnonzero(data.subset == (SUBSET_ANGLE if is_angle else SUBSET_POSITION))[::3]
+        rows = np.flatnonzero(data.subset == (dataset.SUBSET_ANGLE if is_angle else dataset.SUBSET_POSITION))[::3]
         value = getattr(data, target)[rows]
         known = np.abs(np.degrees(value)) if is_angle else value / 0.005 + 2.0
         shares = model.predict_proba(np.stack(data.robot_frames(), axis=1)[rows])
@@ -44,7 +40,7 @@ def test_each_reaches_its_stated_accuracy_without_a_trainer(
 
 @pytest.mark.parametrize("name", ["", "../cnn", "x" * 5_000_000])
 def test_an_unknown_name_is_answered_with_the_known_ones(name: str) -> None:
-    with pytest.raises(ModelError, match="xgboost, nn, cnn") as found:
+    with pytest.raises(errors.ModelError, match="xgboost, nn, cnn") as found:
         classifier.load(name)
     assert len(str(found.value)) < 300
 
@@ -59,14 +55,14 @@ def test_a_file_of_another_kind_is_named(tmp_path: Path, monkeypatch: pytest.Mon
     about = json.loads(str(arrays["about"])) | wrong
     np.savez(classifier.path("tree", "angle", tmp_path), **arrays | {"about": np.array(json.dumps(about))})
     monkeypatch.setattr(classifier, "FOLDER", tmp_path)
-    with pytest.raises(ModelError, match=r"tree-angle\.npz"):
+    with pytest.raises(errors.ModelError, match=r"tree-angle\.npz"):
         classifier.load("tree")
 
 
 def test_a_damaged_pose_model_is_refused(tmp_path: Path) -> None:
     def refuses(arrays: Arrays) -> None:
         np.savez(tmp_path / "bad.npz", **arrays)
-        with pytest.raises(ModelError, match=r"bad\.npz"):
+        with pytest.raises(errors.ModelError, match=r"bad\.npz"):
             PoseEstimator.load(tmp_path / "bad.npz")
 
     with np.load(MODEL_PATH) as file:

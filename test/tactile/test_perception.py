@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimates on a robot without ROS: only fresh frames count, and invalid readings and files are refused."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import threading

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Calibration of a rig's pads: detected errors, unchanged sound parts, and benefit on other dockings."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path
@@ -14,7 +12,7 @@ import yaml
 
 from deltacharger_core.yaml_file import write_yaml
 from deltacharger_sim.pads import Rig, generate_continuous, measure
-from deltacharger_tactile import PoseEstimator, default_model
+from deltacharger_tactile import PoseEstimator, default_model, errors, estimator, parameters
 from deltacharger_tactile.calibration.fit import (
     MISFIT_LIMIT,
     KnownDockings,
@@ -26,13 +24,10 @@ from deltacharger_tactile.calibration.fit import (
     select,
 )
 from deltacharger_tactile.calibration.rig import AXES, SHAPE, TactileCalibration
-from deltacharger_tactile.errors import SensorCalibrationError
-from deltacharger_tactile.estimator import Limits
-from deltacharger_tactile.parameters import TactileParameters
 
 RIG = 655
 REACH = np.array([0.010, 0.010, math.radians(12.0)])
-FAMILY = TactileParameters()
+FAMILY = parameters.TactileParameters()
 UNEVEN = dataclasses.replace(FAMILY, sensor=dataclasses.replace(FAMILY.sensor, gain_spread=0.25))
 
 
@@ -48,7 +43,7 @@ def dock(
     count: int = 60,
     seed: int = 1,
     rig: Rig | None = None,
-    family: TactileParameters = FAMILY,
+    family: parameters.TactileParameters = FAMILY,
     off: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> KnownDockings:
     """Dock at random poses; the pads are mounted with the error `off`."""
@@ -146,7 +141,7 @@ def test_one_rig_is_chosen_and_unusable_data_are_refused(model: PoseEstimator) -
     assert np.array_equal(select(data, 4).pose[:, 2], data.angle[20:])
     empty = dataclasses.replace(select(data, 3), frames=np.zeros((20, *SHAPE)))
     for refused, noun in ((lambda: select(data), "--rig"), (lambda: fit(empty, model), "in range")):
-        with pytest.raises(SensorCalibrationError, match=noun):
+        with pytest.raises(errors.SensorCalibrationError, match=noun):
             refused()
 
 
@@ -182,7 +177,7 @@ def test_correction_moves_the_estimate_and_derived_values(model: PoseEstimator) 
     # An error along x affects the offset across the bars only through roll.
     vague, aside = (dataclasses.replace(FULL, bias_stddev=np.eye(3)[axis] * 0.01).correct(raw) for axis in (1, 0))
     assert (vague.in_range.any(), vague.sure.any(), aside.sure.any()) == (True, False, True)
-    assert not np.any(aside.sure & (0.01 * np.abs(np.sin(raw.angle)) > Limits().across_stddev))
+    assert not np.any(aside.sure & (0.01 * np.abs(np.sin(raw.angle)) > estimator.Limits().across_stddev))
     assert np.any(raw.sure & ~aside.sure)
     far = dataclasses.replace(FULL, bias=np.array([0.0, 0.02, 0.0])).correct(raw)
     assert not far.in_range[raw.vertical < 0.0].any()
@@ -217,6 +212,6 @@ def test_a_damaged_file_is_refused_by_its_key(tmp_path: Path, key: str, value: A
     path = tmp_path / "pads.yaml"
     FULL.save(path)
     write_yaml(path, yaml.safe_load(path.read_text(encoding="utf-8")) | {key: value})
-    with pytest.raises(SensorCalibrationError, match=named) as caught:
+    with pytest.raises(errors.SensorCalibrationError, match=named) as caught:
         TactileCalibration.load(path)
     assert str(path) in str(caught.value)

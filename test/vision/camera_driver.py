@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A substitute of an RGB-D driver: repeats one image of a target at a known pose again and again."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -14,10 +12,8 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
 from deltacharger_core.ros.messages import duration
-from deltacharger_vision.images import RgbdImage
-from deltacharger_vision.mount import Mount
-from deltacharger_vision.rendering.camera import SimulatedCamera
-from deltacharger_vision.rendering.scene import RenderedScene
+from deltacharger_vision import images, mount
+from deltacharger_vision.rendering import camera, scene
 from deltacharger_vision.ros.messages import camera_info_message, color_message, depth_message
 
 from ..nodes import call, options
@@ -26,13 +22,15 @@ TARGET = (0.012, -0.009, 0.084, 0.06)
 PERIOD = 50_000_000  # ns
 
 
-def picture(target: bool = True) -> RgbdImage:
+def picture(target: bool = True) -> images.RgbdImage:
     """Image of a target at TARGET, from a camera at the default mount."""
     pose = np.eye(4)
     c, s = math.cos(TARGET[3]), math.sin(TARGET[3])
     pose[:2, :2], pose[:3, 3] = [[c, -s], [s, c]], TARGET[:3]
-    camera_T_terminal = np.linalg.inv(Mount.default().pose) @ pose
-    return SimulatedCamera().render(RenderedScene(target=target), camera_T_terminal, np.random.default_rng(5))
+    camera_T_terminal = np.linalg.inv(mount.Mount.default().pose) @ pose
+    return camera.SimulatedCamera().render(
+        scene.RenderedScene(target=target), camera_T_terminal, np.random.default_rng(5)
+    )
 
 
 class Driver(Node):

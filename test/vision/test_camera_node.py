@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """camera_node: images of a camera over real topics, its errors, and topics of recordings."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable
@@ -18,12 +16,9 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
 from deltacharger_core.mcap_file import RecordingError
-from deltacharger_vision.cameras.camera_node import CameraNode
-from deltacharger_vision.cameras.oak_pipeline import CameraUnavailable, OakImage
-from deltacharger_vision.cameras.ros_formats import color_array, depth_array, from_camera_info
+from deltacharger_vision.cameras import camera_node, oak_pipeline, ros_formats
 from deltacharger_vision.images import Intrinsics, RgbdImage
-from deltacharger_vision.ros.messages import stamp_ns
-from deltacharger_vision.ros.recording import CAMERA_INFO, IMAGE, CameraTopics, choose_topics
+from deltacharger_vision.ros import messages, recording
 
 from ..chargers import Spin, wait_until
 from ..nodes import options
@@ -42,7 +37,7 @@ def picture(number: int) -> RgbdImage:
 
 
 def absent(*settings: Any) -> Any:
-    raise CameraUnavailable("no OAK camera found")
+    raise oak_pipeline.CameraUnavailable("no OAK camera found")
 
 
 @pytest.fixture
@@ -50,12 +45,12 @@ def client(context: Any, namespace: str, spin: Spin) -> Any:
     return spin(rclpy.create_node("client", **options(context, namespace)))
 
 
-Start = Callable[..., CameraNode]
+Start = Callable[..., camera_node.CameraNode]
 
 
 @pytest.fixture
 def start(context: Any, namespace: str, spin: Spin) -> Start:
-    return lambda camera=absent, **values: spin(CameraNode(camera, **options(context, namespace, **values)))
+    return lambda camera=absent, **values: spin(camera_node.CameraNode(camera, **options(context, namespace, **values)))
 
 
 @pytest.mark.version
@@ -70,13 +65,16 @@ def test_images_are_published_unchanged_to_subscribers_only(start: Start, client
     seen: dict[str, dict[int, Any]] = {topic: {} for topic in kinds}
     subscriptions = [
         client.create_subscription(
-            kind, topic, lambda each, topic=topic: seen[topic].update({stamp_ns(each): each}), qos_profile_sensor_data
+            kind,
+            topic,
+            lambda each, topic=topic: seen[topic].update({messages.stamp_ns(each): each}),
+            qos_profile_sensor_data,
         )
         for topic, kind in kinds.items()
     ]
 
     def complete() -> int:
-        take(OakImage(time.monotonic() - 0.5, picture(7)))
+        take(oak_pipeline.OakImage(time.monotonic() - 0.5, picture(7)))
         return next(iter(set.intersection(*map(set, seen.values()))), 0)
 
     before = client.get_clock().now().nanoseconds
@@ -85,9 +83,9 @@ def test_images_are_published_unchanged_to_subscribers_only(start: Start, client
     color, depth, info = (each[stamp] for each in seen.values())
     assert {each.header.frame_id for each in (color, depth, info)} == {"camera_color_optical_frame"}
     assert (color.encoding, depth.encoding) == ("rgb8", "16UC1")
-    np.testing.assert_array_equal(color_array(color), picture(7).color)
-    assert (depth_array(depth)[0, 0], depth_array(depth)[1, 1]) == (0, 307)
-    assert from_camera_info(info.width, info.height, info.k, info.d, info.distortion_model) == LENS
+    np.testing.assert_array_equal(ros_formats.color_array(color), picture(7).color)
+    assert (ros_formats.depth_array(depth)[0, 0], ros_formats.depth_array(depth)[1, 1]) == (0, 307)
+    assert ros_formats.from_camera_info(info.width, info.height, info.k, info.d, info.distortion_model) == LENS
     for each in subscriptions:
         client.destroy_subscription(each)
     wait_until(lambda: not wanted(), "nobody to want images")
@@ -106,13 +104,13 @@ def test_an_absent_camera_is_reported_with_its_settings(start: Start, client: An
     assert (status.level, status.hardware_id) == (DiagnosticStatus.ERROR, "14442C10")
 
 
-ANY = CameraTopics()
+ANY = recording.CameraTopics()
 
 
 def of(names: str) -> dict[str, str]:
     """Return types of topics by their names."""
-    kinds = {"camera_info": CAMERA_INFO, "compressed": "sensor_msgs/msg/CompressedImage"}
-    return {name: kinds.get(name.rsplit("/", 1)[1], IMAGE) for name in names.split()}
+    kinds = {"camera_info": recording.CAMERA_INFO, "compressed": "sensor_msgs/msg/CompressedImage"}
+    return {name: kinds.get(name.rsplit("/", 1)[1], recording.IMAGE) for name in names.split()}
 
 
 @pytest.mark.parametrize(
@@ -125,26 +123,26 @@ def of(names: str) -> dict[str, str]:
         ),
         (
             "/oak/rgb/image_raw /oak/stereo/image_raw",
-            CameraTopics("oak/rgb/image_raw", "/oak/stereo/image_raw"),
+            recording.CameraTopics("oak/rgb/image_raw", "/oak/stereo/image_raw"),
             "/oak/rgb/image_raw /oak/stereo/image_raw ",
         ),
     ],
 )
-def test_topics_of_other_drivers_are_found_or_named(names: str, asked: CameraTopics, found: str) -> None:
-    assert choose_topics(Path("rec"), of(names), asked) == CameraTopics(*found.split(" "))
+def test_topics_of_other_drivers_are_found_or_named(names: str, asked: recording.CameraTopics, found: str) -> None:
+    assert recording.choose_topics(Path("rec"), of(names), asked) == recording.CameraTopics(*found.split(" "))
 
 
 @pytest.mark.parametrize(
     ("names", "asked", "noun"),
     [
         ("/a/color/image_raw /b/color/image_raw", ANY, "/a/color/image_raw, /b/color/image_raw"),
-        ("/color/image_raw", CameraTopics("d"), "/d"),
+        ("/color/image_raw", recording.CameraTopics("d"), "/d"),
         ("/color/image_raw/compressed", ANY, "name one of /color/image_raw/compressed"),
     ],
 )
 def test_ambiguous_compressed_and_missing_topics_are_refused_with_the_choices(
-    names: str, asked: CameraTopics, noun: str
+    names: str, asked: recording.CameraTopics, noun: str
 ) -> None:
     with pytest.raises(RecordingError, match=noun) as refused:
-        choose_topics(Path("rec.mcap"), of(names), asked)
+        recording.choose_topics(Path("rec.mcap"), of(names), asked)
     assert "rec.mcap" in str(refused.value)

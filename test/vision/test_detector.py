@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Laws of the electrode detector on simulated images: a right result, none, or one with a valid covariance."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math
@@ -14,11 +12,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from deltacharger_vision import images, terminal
 from deltacharger_vision.detector.detector import ElectrodeDetector, annotated
-from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
 from deltacharger_vision.rendering.scene import RenderedScene, draw_scene
-from deltacharger_vision.terminal import LOWER, UPPER, Detection, Terminal
 
 from ..marks import night, rest
 from .views import DISTORTIONS, cover
@@ -66,9 +63,9 @@ def random_view(random: np.random.Generator, nearest: float, farthest: float) ->
 class Look(NamedTuple):
     """What the detector found in an image of a terminal at a known pose."""
 
-    found: Detection | None
+    found: terminal.Detection | None
     pose: Array
-    image: RgbdImage
+    image: images.RgbdImage
 
     @property
     def off(self) -> float:
@@ -102,11 +99,11 @@ def seen_again(look: Look, **changed: Any) -> Look:
     return Look(DETECTOR.detect(image), look.pose, image)
 
 
-def error(found: Detection, pose: Array) -> Array:
+def error(found: terminal.Detection, pose: Array) -> Array:
     return np.asarray(found.position - pose[:3, 3])
 
 
-def roll_error(found: Detection, pose: Array) -> float:
+def roll_error(found: terminal.Detection, pose: Array) -> float:
     return math.remainder(found.roll - math.atan2(pose[1, 0], pose[0, 0]), math.pi)
 
 
@@ -191,7 +188,7 @@ def test_clutter_without_electrodes_is_no_terminal(count: int) -> None:
 @few_and(8, 1)
 @pytest.mark.parametrize("scale", [0.75, 1.3])
 def test_bars_of_another_size_are_refused_by_depth(scale: float, count: int) -> None:
-    other = Terminal(**{name: scale * length for name, length in vars(Terminal()).items()})
+    other = terminal.Terminal(**{name: scale * length for name, length in vars(terminal.Terminal()).items()})
     seen = list(
         looks(range(20_500, 20_500 + count), 0.28, 0.6, lambda scene, _: dataclasses.replace(scene, terminal=other))
     )
@@ -201,7 +198,7 @@ def test_bars_of_another_size_are_refused_by_depth(scale: float, count: int) -> 
 
 
 @few_and(5, 1)
-@pytest.mark.parametrize(("bar", "end"), [*itertools.product((UPPER, LOWER), (1, -1))])
+@pytest.mark.parametrize(("bar", "end"), [*itertools.product((terminal.UPPER, terminal.LOWER), (1, -1))])
 def test_half_of_a_bar_may_be_hidden(bar: int, end: int, count: int) -> None:
     hidden = (cover(0.5, bar, end),)
     seen = looks(
@@ -271,7 +268,7 @@ def test_the_time_of_a_large_picture_full_of_bars_is_bounded() -> None:
     grey = np.full(size, 20, dtype=np.uint8)
     for row, column in itertools.product(range(1, size[0] - 8, 12), range(2, size[1] - 40, 45)):
         grey[row : row + 5, column : column + 32] = 60 + (7 * row + 3 * column) % 190
-    image = RgbdImage.make(grey, np.full(size, np.nan), OAK_D.scaled(*size[::-1]))
+    image = images.RgbdImage.make(grey, np.full(size, np.nan), OAK_D.scaled(*size[::-1]))
     began = time.process_time()
     assert DETECTOR.detect(image) is None
     assert time.process_time() - began < 1.0
@@ -279,7 +276,7 @@ def test_the_time_of_a_large_picture_full_of_bars_is_bounded() -> None:
 
 def test_a_large_image_gives_the_same_pose_with_corners_in_its_own_pixels() -> None:
     seen = look(pose_at(0.3, roll=0.2, pitch=0.4, yaw=-0.2))
-    large = RgbdImage(
+    large = images.RgbdImage(
         *(np.repeat(np.repeat(each, 3, 0), 3, 1) for each in (seen.image.color, seen.image.depth)),
         OAK_D.scaled(1920, 1200),
     )

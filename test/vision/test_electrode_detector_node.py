@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """electrode_detector_node: answers from prepared images, problems of its topics, and one request over real topics."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import math
@@ -21,10 +19,8 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
-from deltacharger_core.ros.messages import duration
-from deltacharger_core.ros.node_support import StartupError
-from deltacharger_vision.images import RgbdImage
-from deltacharger_vision.mount import Mount, quaternion
+from deltacharger_core.ros import messages, node_support
+from deltacharger_vision import images, mount
 from deltacharger_vision.ros.messages import camera_info_message, color_message, depth_message
 
 from ..chargers import DEADLINE, Spin, wait_until
@@ -43,7 +39,7 @@ NodeMaker = Callable[..., ElectrodeDetectorNode]
 
 
 @pytest.fixture(scope="module")
-def seen() -> RgbdImage:
+def seen() -> images.RgbdImage:
     return picture()
 
 
@@ -62,7 +58,7 @@ def node(context: Any, namespace: str) -> Iterator[NodeMaker]:
         each.destroy_node()
 
 
-def shot(node: ElectrodeDetectorNode, image: RgbdImage, age: float = 0.0, apart: float = 0.0) -> Shot:
+def shot(node: ElectrodeDetectorNode, image: images.RgbdImage, age: float = 0.0, apart: float = 0.0) -> Shot:
     """Messages of an image, `age` s old, and of its depth, `apart` s later."""
     now = node.get_clock().now().nanoseconds - round(1e9 * age)
     color, depth = color_message(image.color, stamp(now)), depth_message(image.depth, stamp(now + round(1e9 * apart)))
@@ -73,7 +69,7 @@ def asked(node: ElectrodeDetectorNode, shots: Iterable[Shot], timeout: float = 3
     taken, watching = iter(shots), contextlib.nullcontext
     camera: Any = mock.Mock(shots=0, watching=watching, problem=lambda: "no images", after=lambda *_: next(taken, None))
     node._camera = camera
-    return node._on_detect(DetectElectrodes.Request(timeout=duration(timeout)), DetectElectrodes.Response())
+    return node._on_detect(DetectElectrodes.Request(timeout=messages.duration(timeout)), DetectElectrodes.Response())
 
 
 def place(answer: DetectElectrodes.Response) -> list[float]:
@@ -82,7 +78,9 @@ def place(answer: DetectElectrodes.Response) -> list[float]:
     return [position.x, position.y, position.z]
 
 
-def test_electrodes_are_reported_in_charger_base_with_a_valid_covariance(node: NodeMaker, seen: RgbdImage) -> None:
+def test_electrodes_are_reported_in_charger_base_with_a_valid_covariance(
+    node: NodeMaker, seen: images.RgbdImage
+) -> None:
     made = node()
     answer = asked(made, [shot(made, seen)])
     found, off = answer.detection, np.subtract(place(answer), TARGET[:3])
@@ -94,7 +92,7 @@ def test_electrodes_are_reported_in_charger_base_with_a_valid_covariance(node: N
     assert (found.header.frame_id, found.source) == ("charger_base", "both")
 
 
-def test_a_request_is_refused_with_its_reason_and_without_a_pose(node: NodeMaker, seen: RgbdImage) -> None:
+def test_a_request_is_refused_with_its_reason_and_without_a_pose(node: NodeMaker, seen: images.RgbdImage) -> None:
     made, empty = node(), picture(target=False)
     aside, other, broken = (shot(made, seen) for _ in range(3))
     aside.depth.header.frame_id = other.info.header.frame_id = "left_infrared"
@@ -116,7 +114,7 @@ def test_a_request_is_refused_with_its_reason_and_without_a_pose(node: NodeMaker
     assert "timeout" in asked(made, [shot(made, seen)], timeout=-1.0).message
 
 
-def test_a_request_ends_in_time_if_detection_is_slower_than_the_camera(node: NodeMaker, seen: RgbdImage) -> None:
+def test_a_request_ends_in_time_if_detection_is_slower_than_the_camera(node: NodeMaker, seen: images.RgbdImage) -> None:
     transforms()
     made = node(mount_from_tf=True, transform_timeout=10.0)
     began = time.monotonic()
@@ -129,20 +127,20 @@ def test_a_request_ends_in_time_if_detection_is_slower_than_the_camera(node: Nod
 def test_the_camera_pose_can_come_from_tf_or_a_file(node: NodeMaker, context: Any, spin: Spin, tmp_path: Path) -> None:
     robot = spin(Robot(context))
     made = spin(node(mount_from_tf=True, frame_prefix="left/", transform_timeout=10.0))
-    usual = Mount.default().pose
-    moved = (*(usual[:3, 3] + (0.0, 0.0, 0.1)), *quaternion(usual[:3, :3]))
+    usual = mount.Mount.default().pose
+    moved = (*(usual[:3, 3] + (0.0, 0.0, 0.1)), *mount.quaternion(usual[:3, :3]))
     robot.fix("left/charger_base", "camera", moved)
     image = Header(frame_id="camera", stamp=made.get_clock().now().to_msg())
     expected = np.vstack([np.c_[usual[:3, :3], moved[:3]], [0.0, 0.0, 0.0, 1.0]])
-    Mount(expected, 1e-10 * np.eye(6)).save(tmp_path / "mount.yaml")
+    mount.Mount(expected, 1e-10 * np.eye(6)).save(tmp_path / "mount.yaml")
     for given in (made, node(mount_file=str(tmp_path / "mount.yaml"))):
         np.testing.assert_allclose(given._mounted(image).pose, expected, atol=1e-6)
-    with pytest.raises(StartupError, match="mount_from_tf"):
+    with pytest.raises(node_support.StartupError, match="mount_from_tf"):
         node(mount_from_tf=True, mount_file="m.yaml")
 
 
 def test_missing_silent_and_unmatched_topics_are_named(
-    node: NodeMaker, seen: RgbdImage, monkeypatch: pytest.MonkeyPatch
+    node: NodeMaker, seen: images.RgbdImage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(electrode_detector_node, "SILENT", 0.05)
     made, numbered = node(), itertools.count()
@@ -165,7 +163,7 @@ def test_missing_silent_and_unmatched_topics_are_named(
 
 def test_closing_releases_waiting_requests(node: NodeMaker) -> None:
     made, response = node(), DetectElectrodes.Response()
-    request = DetectElectrodes.Request(timeout=duration(600.0))
+    request = DetectElectrodes.Request(timeout=messages.duration(600.0))
     waiting = threading.Thread(target=made._on_detect, args=(request, response))
     waiting.start()
     wait_until(lambda: made._camera.watched, "the request to wait")

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Laws of hand-eye calibration: exact data, the exact mount; noise stays in the covariance; the board and its print."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Sequence
@@ -11,25 +9,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from deltacharger_vision import images, terminal
 from deltacharger_vision.errors import BoardError
+from deltacharger_vision.hand_eye import fit
 from deltacharger_vision.hand_eye.board import Board, dictionary
 from deltacharger_vision.hand_eye.calibrate import Calibration, calibrate, doubts, held_out_rms
-from deltacharger_vision.hand_eye.fit import (
-    FREE_WITH_SCALE,
-    Beliefs,
-    Corners,
-    HandEyeError,
-    HandEyeState,
-    View,
-    jacobian,
-    residuals,
-    start,
-)
-from deltacharger_vision.images import Intrinsics, project
 from deltacharger_vision.rendering.board_drawing import board_svg, with_board
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
 from deltacharger_vision.rendering.scene import RenderedScene, shifted
-from deltacharger_vision.terminal import turn
 
 from ..marks import night, rest
 from .hand_eye_rig import DOCK, Rig, squared
@@ -37,19 +24,19 @@ from .views import EVEN, IDEAL, view
 
 cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
-LENS = Intrinsics(640, 400, 441.0, 439.0, 317.0, 203.0, (-0.12, 0.03, 0.001, -0.0005, 0.0))
+LENS = images.Intrinsics(640, 400, 441.0, 439.0, 317.0, 203.0, (-0.12, 0.03, 0.001, -0.0005, 0.0))
 
 
-def names(views: Sequence[View]) -> list[str]:
+def names(views: Sequence[fit.View]) -> list[str]:
     return [f"view_{number}.png" for number in range(len(views))]
 
 
-def moved(view: View, by: Sequence[float]) -> View:
+def moved(view: fit.View, by: Sequence[float]) -> fit.View:
     """Return a view with a wrong position (m)."""
-    return View(view.position + by, view.sighting, view.slope)
+    return fit.View(view.position + by, view.sighting, view.slope)
 
 
-def judged(rig: Rig, views: Sequence[View]) -> tuple[Calibration, list[str]]:
+def judged(rig: Rig, views: Sequence[fit.View]) -> tuple[Calibration, list[str]]:
     found = calibrate(views, rig.intrinsics, rig.beliefs)
     return found, doubts(found, rig.board.size, names(views))
 
@@ -78,16 +65,16 @@ def test_the_offset_is_unobservable_and_enters_position_and_covariance() -> None
 
 
 def test_the_derivatives_match_the_residuals() -> None:
-    corners = Corners.of(Rig(3).views(6), OAK_D)
-    first = start(corners)
-    state = HandEyeState(first.camera, first.shift, first.board, np.array([0.001, -0.002, 0.001]), 1.1)
-    step = np.random.default_rng(0).normal(scale=0.05, size=FREE_WITH_SCALE)
-    slopes, by_position = jacobian(corners, state, step)
-    for column, small in enumerate(1e-6 * np.eye(FREE_WITH_SCALE)):
-        high, low = (residuals(corners, state.moved(step + sign * small)) for sign in (1, -1))
+    corners = fit.Corners.of(Rig(3).views(6), OAK_D)
+    first = fit.start(corners)
+    state = fit.HandEyeState(first.camera, first.shift, first.board, np.array([0.001, -0.002, 0.001]), 1.1)
+    step = np.random.default_rng(0).normal(scale=0.05, size=fit.FREE_WITH_SCALE)
+    slopes, by_position = fit.jacobian(corners, state, step)
+    for column, small in enumerate(1e-6 * np.eye(fit.FREE_WITH_SCALE)):
+        high, low = (fit.residuals(corners, state.moved(step + sign * small)) for sign in (1, -1))
         np.testing.assert_allclose(slopes[:, :, column], (high - low) / 2e-6, rtol=1e-5, atol=1e-3)
     shifted = dataclasses.replace(corners, positions=corners.positions + np.array([1e-7, 0.0, 0.0]))
-    change = (residuals(shifted, state.moved(step)) - residuals(corners, state.moved(step))) / 1e-7
+    change = (fit.residuals(shifted, state.moved(step)) - fit.residuals(corners, state.moved(step))) / 1e-7
     np.testing.assert_allclose(by_position[:, :, 0], change, rtol=1e-4, atol=1e-2)
 
 
@@ -142,7 +129,7 @@ def test_joint_errors_beyond_the_stated_ones_are_reported() -> None:
 def test_the_tilt_that_fits_all_images_is_chosen() -> None:
     for seed in range(4):
         rig = Rig(400 + seed, Board(size=0.010))  # small: most single images fit the opposite tilt better
-        first = start(Corners.of(rig.views(15, pixel=0.8), OAK_D))
+        first = fit.start(fit.Corners.of(rig.views(15, pixel=0.8), OAK_D))
         true = rig.mount[:3, :3].T @ rig.place[:3, :3]
         assert np.sum((first.camera.T @ first.board) * true) > 1.0 + 2.0 * math.cos(math.radians(5.0))
 
@@ -150,18 +137,18 @@ def test_the_tilt_that_fits_all_images_is_chosen() -> None:
 def test_too_few_views_and_places_and_moves_along_a_line_are_refused() -> None:
     rig = Rig(13)
     views = rig.views(6)
-    line = [View(np.array([view.position[0], 0.01, 0.02]), view.sighting, view.slope) for view in rig.views(12)]
+    line = [fit.View(np.array([view.position[0], 0.01, 0.02]), view.sighting, view.slope) for view in rig.views(12)]
     for given, noun in ((views[:4], "4 views"), ([*views[:3], *views[:3]], "3 places"), (line, "line, x")):
-        with pytest.raises(HandEyeError, match=noun):
+        with pytest.raises(fit.HandEyeError, match=noun):
             calibrate(given, OAK_D, rig.beliefs)
 
 
 def test_invalid_values_are_refused() -> None:
     for place in (math.nan, 60.0):
-        with pytest.raises(HandEyeError, match=r"finite|metres"):
+        with pytest.raises(fit.HandEyeError, match=r"finite|metres"):
             moved(Rig(15).views(1)[0], (0.0, 0.0, place))
-    with pytest.raises(HandEyeError, match="offset"):
-        Beliefs((0.0, 20.0, 0.0))
+    with pytest.raises(fit.HandEyeError, match="offset"):
+        fit.Beliefs((0.0, 20.0, 0.0))
 
 
 UPRIGHT = shifted((0.0, 0.0, 0.2)) @ np.diag([1.0, -1.0, -1.0, 1.0])
@@ -174,7 +161,7 @@ def drawn_pose(seed: int) -> np.ndarray:
     random = np.random.default_rng(seed)
     pose = shifted((random.uniform(-0.05, 0.05), random.uniform(-0.02, 0.02), random.uniform(0.14, 0.20)))
     tilt = np.append(random.uniform(-0.5, 0.5, 2), random.uniform(-math.pi, math.pi))
-    pose[:3, :3] = turn(tilt * (1, 1, 0)) @ turn(tilt * (0, 0, 1)) @ np.diag([1.0, -1.0, -1.0])
+    pose[:3, :3] = terminal.turn(tilt * (1, 1, 0)) @ terminal.turn(tilt * (0, 0, 1)) @ np.diag([1.0, -1.0, -1.0])
     return pose
 
 
@@ -189,7 +176,7 @@ def rms(board: Board, count: int, camera: SimulatedCamera) -> float:
     for pose in map(drawn_pose, range(count)):
         found = board.detect(rendered(board, pose, camera))
         assert found is not None
-        off.append(found.pixels - project(found.corners @ pose[:3, :3].T + pose[:3, 3], camera.intrinsics))
+        off.append(found.pixels - images.project(found.corners @ pose[:3, :3].T + pose[:3, 3], camera.intrinsics))
     return float(np.sqrt(np.mean(np.square(off))))
 
 

@@ -13,28 +13,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
+from deltacharger_vision import errors, image_files, images
 from deltacharger_vision.cameras.ros_formats import Readout, color_array, depth_array, from_camera_info
-from deltacharger_vision.errors import CameraInfoError, ImageError
-from deltacharger_vision.image_files import load_camera_info, read_color, read_depth, read_rgbd, write_picture
-from deltacharger_vision.images import (
-    COLOR,
-    DEPTH,
-    STAMP_TOLERANCE,
-    Intrinsics,
-    RgbdImage,
-    StampMatcher,
-    distort,
-    undistort,
-)
 
 from .views import DISTORTIONS
 
 cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
-CAMERA = Intrinsics(64, 40, 44.0, 44.0, 31.5, 19.5)
+CAMERA = images.Intrinsics(64, 40, 44.0, 44.0, 31.5, 19.5)
 PIXELS = np.arange(40 * 64 * 3, dtype=np.uint32).reshape(40, 64, 3).astype(np.uint8)
 METRES = np.full((40, 64), 0.3, dtype=np.float32)
 
@@ -42,9 +30,11 @@ METRES = np.full((40, 64), 0.3, dtype=np.float32)
 def test_every_kind_of_colour_becomes_the_same_rgb() -> None:
     gray, alpha = PIXELS[:, :, 0], np.full((40, 64, 1), 7, dtype=np.uint8)
     for each in (PIXELS, np.concatenate([PIXELS, alpha], axis=2)):
-        np.testing.assert_array_equal(RgbdImage.make(each, METRES, CAMERA).color, PIXELS)
+        np.testing.assert_array_equal(images.RgbdImage.make(each, METRES, CAMERA).color, PIXELS)
     for each in (gray, gray[:, :, None]):
-        np.testing.assert_array_equal(RgbdImage.make(each, METRES, CAMERA).color, gray[:, :, None].repeat(3, axis=2))
+        np.testing.assert_array_equal(
+            images.RgbdImage.make(each, METRES, CAMERA).color, gray[:, :, None].repeat(3, axis=2)
+        )
 
 
 @pytest.mark.parametrize(
@@ -54,7 +44,7 @@ def test_every_kind_of_depth_becomes_metres_with_nan(kind: type, metre: int, unk
     given = np.full((40, 64), 0.3 * metre, dtype=kind)
     given[3, 4] = unknown
     for each in (given, given[:, :, None]):
-        got = RgbdImage.make(PIXELS, each, CAMERA).depth
+        got = images.RgbdImage.make(PIXELS, each, CAMERA).depth
         assert got.dtype == np.float32
         assert np.argwhere(np.isnan(got)).tolist() == [[3, 4]]
         np.testing.assert_allclose(np.delete(got.ravel(), 3 * 64 + 4), 0.3, rtol=1e-6)
@@ -73,8 +63,8 @@ def test_every_kind_of_depth_becomes_metres_with_nan(kind: type, metre: int, unk
     ],
 )
 def test_invalid_arrays_are_refused(color: Any, depth: Any, name: str, words: str) -> None:
-    with pytest.raises(ImageError, match=words) as caught:
-        RgbdImage.make(color, depth, CAMERA)
+    with pytest.raises(errors.ImageError, match=words) as caught:
+        images.RgbdImage.make(color, depth, CAMERA)
     assert caught.value.source == name
 
 
@@ -97,8 +87,8 @@ def test_a_scaled_or_binned_camera_shows_the_same_point_at_the_same_place() -> N
     ids=str,
 )
 def test_intrinsics_have_bounds(wrong: dict[str, Any]) -> None:
-    with pytest.raises(CameraInfoError):
-        Intrinsics(**{"width": 64, "height": 40, "fx": 44.0, "fy": 44.0, "cx": 31.5, "cy": 19.5} | wrong)
+    with pytest.raises(errors.CameraInfoError):
+        images.Intrinsics(**{"width": 64, "height": 40, "fx": 44.0, "fy": 44.0, "cx": 31.5, "cy": 19.5} | wrong)
 
 
 GRID = np.stack(np.meshgrid(np.linspace(-0.73, 0.73, 21), np.linspace(-0.46, 0.46, 15)), axis=-1)
@@ -106,15 +96,15 @@ GRID = np.stack(np.meshgrid(np.linspace(-0.73, 0.73, 21), np.linspace(-0.46, 0.4
 
 @pytest.mark.parametrize("distortion", DISTORTIONS)
 def test_distorting_and_undistorting_cancel(distortion: tuple[float, ...]) -> None:
-    np.testing.assert_allclose(distort(undistort(GRID, distortion), distortion), GRID, atol=1e-9)
-    np.testing.assert_allclose(undistort(distort(GRID, distortion), distortion), GRID, atol=1e-8)
+    np.testing.assert_allclose(images.distort(images.undistort(GRID, distortion), distortion), GRID, atol=1e-9)
+    np.testing.assert_allclose(images.undistort(images.distort(GRID, distortion), distortion), GRID, atol=1e-8)
 
 
 @pytest.mark.parametrize("distortion", DISTORTIONS[1:])
 def test_the_distortion_matches_opencv(distortion: tuple[float, ...]) -> None:
     points = np.concatenate([GRID, np.ones((*GRID.shape[:2], 1))], axis=-1).reshape(-1, 1, 3)
     theirs, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), np.eye(3), np.array(distortion))
-    np.testing.assert_allclose(distort(GRID, distortion), theirs.reshape(GRID.shape), atol=1e-12)
+    np.testing.assert_allclose(images.distort(GRID, distortion), theirs.reshape(GRID.shape), atol=1e-12)
 
 
 def noise(kind: type, *shape: int) -> np.ndarray:
@@ -135,19 +125,19 @@ def stored(path: Path, pixels: np.ndarray) -> Path:
 @pytest.mark.parametrize("shape", [(40, 64), (40, 64, 3), (40, 64, 4)], ids=["gray", "rgb", "rgba"])
 def test_a_png_keeps_its_pixels_and_the_order_of_its_channels(tmp_path: Path, shape: tuple[int]) -> None:
     pixels = noise(np.uint8, *shape)
-    np.testing.assert_array_equal(read_color(stored(tmp_path / "a.png", pixels)), pixels)
+    np.testing.assert_array_equal(image_files.read_color(stored(tmp_path / "a.png", pixels)), pixels)
     if shape == (40, 64, 3):
-        write_picture(tmp_path / "b.png", pixels)
-        np.testing.assert_array_equal(read_color(tmp_path / "b.png"), pixels)
+        image_files.write_picture(tmp_path / "b.png", pixels)
+        np.testing.assert_array_equal(image_files.read_color(tmp_path / "b.png"), pixels)
 
 
 def test_a_file_of_depth_is_in_millimetres_as_png_and_in_metres_as_npy(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", METRES)
-    np.testing.assert_array_equal(read_depth(tmp_path / "a.npy"), METRES)
+    np.testing.assert_array_equal(image_files.read_depth(tmp_path / "a.npy"), METRES)
     color = stored(tmp_path / "a.png", noise(np.uint8, 40, 64, 3))
     depth = stored(tmp_path / "d.png", np.full((40, 64), 1234, dtype=np.uint16))
-    np.testing.assert_allclose(read_rgbd(color, depth, CAMERA).depth, 1.234)
-    assert np.isnan(read_rgbd(color, None, CAMERA).depth).all()
+    np.testing.assert_allclose(image_files.read_rgbd(color, depth, CAMERA).depth, 1.234)
+    assert np.isnan(image_files.read_rgbd(color, None, CAMERA).depth).all()
 
 
 @pytest.mark.parametrize(
@@ -165,8 +155,8 @@ def test_a_wrong_file_is_named(tmp_path: Path, name: str, content: Any, noun: st
         wrong.write_bytes(content)
     else:
         np.save(wrong, content, allow_pickle=True)
-    with pytest.raises(ImageError, match=noun) as refused:
-        read_rgbd(color, wrong if wrong != color else None, CAMERA)
+    with pytest.raises(errors.ImageError, match=noun) as refused:
+        image_files.read_rgbd(color, wrong if wrong != color else None, CAMERA)
     assert str(wrong) in str(refused.value)
 
 
@@ -189,14 +179,14 @@ roi: {x_offset: 0, y_offset: 0, height: 0, width: 0, do_rectify: false}
 ---
 height: 1
 """
-EXPECTED = Intrinsics(640, 400, 441.0, 442.0, 320.1, 199.2, (-0.1, 0.02, 0.001, -0.002, 0.003))
+EXPECTED = images.Intrinsics(640, 400, 441.0, 442.0, 320.1, 199.2, (-0.1, 0.02, 0.001, -0.002, 0.003))
 K = [441.0, 0.0, 320.1, 0.0, 442.0, 199.2, 0.0, 0.0, 1.0]
 
 
-def loaded(folder: Path, text: str) -> Intrinsics:
+def loaded(folder: Path, text: str) -> images.Intrinsics:
     path = folder / "camera.yaml"
     path.write_text(text)
-    return load_camera_info(path)
+    return image_files.load_camera_info(path)
 
 
 def test_both_formats_give_the_same_intrinsics(tmp_path: Path) -> None:
@@ -204,7 +194,7 @@ def test_both_formats_give_the_same_intrinsics(tmp_path: Path) -> None:
 
 
 def test_no_missing_and_extra_coefficients_are_zero() -> None:
-    plain = Intrinsics(640, 400, 441.0, 442.0, 320.1, 199.2)
+    plain = images.Intrinsics(640, 400, 441.0, 442.0, 320.1, 199.2)
     for d, model in (([], ""), ([], "none"), ([0.0] * 5, "none"), ([0.0] * 5, "plumb_bob"), ([0.0] * 14, "plumb_bob")):
         assert from_camera_info(640, 400, K, d, model) == plain
     four = from_camera_info(640, 400, K, [-0.1, 0.02, 0.001, -0.002], "plumb_bob")
@@ -225,7 +215,7 @@ def test_no_missing_and_extra_coefficients_are_zero() -> None:
 )
 def test_errors_of_a_bad_file_state_what_to_do(tmp_path: Path, old: str, new: str, words: str) -> None:
     assert old in CALIBRATION
-    with pytest.raises(CameraInfoError, match=words) as caught:
+    with pytest.raises(errors.CameraInfoError, match=words) as caught:
         loaded(tmp_path, CALIBRATION.replace(old, new))
     assert str(tmp_path) in caught.value.source
 
@@ -286,7 +276,7 @@ def test_gray_yuv_and_metres_keep_their_values() -> None:
 def test_another_encoding_and_contradictory_fields_are_refused(
     read: Any, encoding: str, height: int, step: int, size: int, noun: str
 ) -> None:
-    with pytest.raises(ImageError, match=noun) as refused:
+    with pytest.raises(errors.ImageError, match=noun) as refused:
         read(message(encoding, height, 21, step, bytes(size)))
     assert len(str(refused.value)) < 1000
 
@@ -296,25 +286,25 @@ MS = 1_000_000
 
 Arrival = tuple[str, int]
 
-arrivals = st.lists(st.tuples(st.sampled_from((COLOR, DEPTH)), st.integers(0, 400)), max_size=120)
+arrivals = st.lists(st.tuples(st.sampled_from((images.COLOR, images.DEPTH)), st.integers(0, 400)), max_size=120)
 
 
-def paired(items: Iterable[Arrival], matcher: StampMatcher[Arrival] | None = None) -> list[tuple[int, int]]:
+def paired(items: Iterable[Arrival], matcher: images.StampMatcher[Arrival] | None = None) -> list[tuple[int, int]]:
     """Return the stamps of the colours and depths that are paired; each item is its own image."""
-    matcher, found = matcher or StampMatcher(), []
+    matcher, found = matcher or images.StampMatcher(), []
     for kind, stamp in items:
         pair = matcher.add_image(kind, stamp, (kind, stamp))
         if pair is not None:
-            assert pair[1] == (COLOR, pair[0])
+            assert pair[1] == (images.COLOR, pair[0])
             found.append((pair[0], pair[2][1]))
     return found
 
 
 @given(items=arrivals)
 def test_pairs_are_near_and_in_order_and_memory_is_bounded(items: list[Arrival]) -> None:
-    matcher: StampMatcher[Arrival] = StampMatcher()
+    matcher: images.StampMatcher[Arrival] = images.StampMatcher()
     found = paired([(kind, stamp * MS) for kind, stamp in items], matcher)
-    assert all(abs(color - depth) <= STAMP_TOLERANCE for color, depth in found)
+    assert all(abs(color - depth) <= images.STAMP_TOLERANCE for color, depth in found)
     for one, two in itertools.pairwise(found):  # strictly: so nothing is returned twice
         assert one[0] < two[0]
         assert one[1] < two[1]
@@ -324,13 +314,13 @@ def test_pairs_are_near_and_in_order_and_memory_is_bounded(items: list[Arrival])
 @given(st.integers(-7, 7), st.sets(st.integers(0, 39)), st.sets(st.integers(0, 39)), st.integers(0, 14))
 def test_simultaneous_images_are_paired_despite_losses(lead: int, lost: set[int], missed: set[int], apart: int) -> None:
     """One kind arrives up to seven images after the other."""
-    colors = [(each, COLOR, each * PERIOD) for each in range(40) if each not in lost]
-    depths = [(each + lead, DEPTH, each * PERIOD + apart * MS) for each in range(40) if each not in missed]
+    colors = [(each, images.COLOR, each * PERIOD) for each in range(40) if each not in lost]
+    depths = [(each + lead, images.DEPTH, each * PERIOD + apart * MS) for each in range(40) if each not in missed]
     both = [(each * PERIOD, each * PERIOD + apart * MS) for each in range(40) if each not in lost | missed]
     assert paired((kind, stamp) for _, kind, stamp in sorted(colors + depths)) == both
 
 
 def test_setting_back_the_clock_begins_again() -> None:
-    again = [(kind, stamp * PERIOD) for stamp in range(3) for kind in (DEPTH, COLOR)]
-    found = paired([*((kind, 10**12 + stamp) for kind, stamp in again), (DEPTH, 10**18), *again])
+    again = [(kind, stamp * PERIOD) for stamp in range(3) for kind in (images.DEPTH, images.COLOR)]
+    found = paired([*((kind, 10**12 + stamp) for kind, stamp in again), (images.DEPTH, 10**18), *again])
     assert found[3:] == [(stamp * PERIOD, stamp * PERIOD) for stamp in range(3)]

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The host side of the OAK-D: real depthai without a device, and the keeper with a camera that is replugged."""
 
-from __future__ import annotations
-
 import threading
 import time
 from functools import partial
@@ -14,13 +12,6 @@ import pytest
 
 from deltacharger_core.parameters import ParameterError
 from deltacharger_vision.cameras import oak_pipeline
-from deltacharger_vision.cameras.oak_pipeline import (
-    CameraKeeper,
-    CameraUnavailable,
-    OakCamera,
-    OakImage,
-    find_device,
-)
 from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.parameters import OakSettings
 
@@ -114,15 +105,20 @@ def test_the_camera_is_set_up_for_docking_sends_the_newest_images_and_reports_si
 ) -> None:
     """Through depthai's own synchronisation and the host node that converts frames."""
     monkeypatch.setattr("deltacharger_vision.cameras.oak_pipeline._SILENCE", 0.2)
-    bench, images, wanted, go_on = Bench(depthai, monkeypatch), list[OakImage](), threading.Event(), threading.Event()
+    bench, images, wanted, go_on = (
+        Bench(depthai, monkeypatch),
+        list[oak_pipeline.OakImage](),
+        threading.Event(),
+        threading.Event(),
+    )
 
-    def take(image: OakImage) -> None:
+    def take(image: oak_pipeline.OakImage) -> None:
         images.append(image)
         if len(images) == 5:
             go_on.wait(DEADLINE)
 
     began = time.monotonic()
-    camera = OakCamera(OakSettings(rate=50.0, exposure_us=7000), wanted.is_set, take)
+    camera = oak_pipeline.OakCamera(OakSettings(rate=50.0, exposure_us=7000), wanted.is_set, take)
     try:
         assert camera.name == NAME
         color, left, right = bench.cameras
@@ -162,14 +158,14 @@ def test_the_camera_is_set_up_for_docking_sends_the_newest_images_and_reports_si
 def test_a_camera_that_cannot_be_opened_is_released_and_named(depthai: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(depthai, monkeypatch)
     bench.device.readCalibration.side_effect = RuntimeError("no EEPROM")
-    with pytest.raises(CameraUnavailable, match=f"{NAME} .* no EEPROM"):
-        OakCamera(OakSettings(), lambda: True, lambda image: None)
+    with pytest.raises(oak_pipeline.CameraUnavailable, match=f"{NAME} .* no EEPROM"):
+        oak_pipeline.OakCamera(OakSettings(), lambda: True, lambda image: None)
     bench.device.close.assert_called_once_with()
-    with pytest.raises(CameraUnavailable, match=f"other .* {NAME}"):
-        OakCamera(OakSettings(device_id="other"), lambda: True, lambda image: None)
+    with pytest.raises(oak_pipeline.CameraUnavailable, match=f"other .* {NAME}"):
+        oak_pipeline.OakCamera(OakSettings(device_id="other"), lambda: True, lambda image: None)
     bench.infos.clear()
-    with pytest.raises(CameraUnavailable, match="no OAK camera found"):
-        find_device("")
+    with pytest.raises(oak_pipeline.CameraUnavailable, match="no OAK camera found"):
+        oak_pipeline.find_device("")
 
 
 def test_the_exposure_fits_into_one_image() -> None:
@@ -200,10 +196,10 @@ def test_a_replugged_camera_is_opened_again(monkeypatch: pytest.MonkeyPatch) -> 
     def open_camera() -> Camera:
         next_one = script.pop(0)
         if isinstance(next_one, str):
-            raise CameraUnavailable(next_one)
+            raise oak_pipeline.CameraUnavailable(next_one)
         return next_one
 
-    kept = CameraKeeper(open_camera, lambda: changes.append((kept.name, kept.problem)))
+    kept = oak_pipeline.CameraKeeper(open_camera, lambda: changes.append((kept.name, kept.problem)))
     kept.start()
     wait_until(lambda: len(changes) == 2, "the camera")
     first.trouble = "oak 1 is gone"

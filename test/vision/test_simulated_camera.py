@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The simulated camera: geometry, noise, repeatability, depth of stereo matching."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

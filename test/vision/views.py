@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Poses in front of a camera, and expected pixels of points."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

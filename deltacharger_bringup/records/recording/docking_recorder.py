@@ -6,8 +6,6 @@ few during hours of charging. The caller passes the time (s, monotonic), so that
 messages keep their own times.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math
@@ -21,10 +19,9 @@ from rclpy.serialization import deserialize_message
 from deltacharger_bringup.records.node_parameters import with_geometry
 from deltacharger_bringup.records.recording.folder import ABOUT, END, PARAMETERS, RESULT, RecordFolder
 from deltacharger_bringup.records.recording.mcap_recording import ALWAYS, DECISION, STATE, McapWriter, Topic
+from deltacharger_core import mcap_file, texts
 from deltacharger_core.files import flush
-from deltacharger_core.mcap_file import Raw, RecordingError
 from deltacharger_core.ros.outcomes import Outcome
-from deltacharger_core.texts import REQUEST_ID_MAX, cut
 from deltacharger_docking.codes import Code, State
 
 BEFORE = 2.0  # s kept before the goal and before each event
@@ -49,18 +46,18 @@ class Gate:
 
     def __init__(self, always: Collection[str]) -> None:
         self._always = frozenset(always)
-        self._held: deque[tuple[float, Raw]] = deque()
+        self._held: deque[tuple[float, mcap_file.Raw]] = deque()
         self._open = False
         self._quiet_since: float | None = None
         self._all_until = 0.0
         self._last: dict[str, float] = {}
 
-    def open(self) -> list[Raw]:
+    def open(self) -> list[mcap_file.Raw]:
         """Begin a record; return the held messages."""
         self._open, self._quiet_since = True, None
         return self._all()
 
-    def close(self) -> list[Raw]:
+    def close(self) -> list[mcap_file.Raw]:
         """End the record; return the held messages."""
         self._open = False
         return self._all()
@@ -79,7 +76,7 @@ class Gate:
         """Report an event: everything held and what follows is kept."""
         self._all_until = now + BEFORE
 
-    def offer(self, now: float, message: Raw) -> list[Raw]:
+    def offer(self, now: float, message: mcap_file.Raw) -> list[mcap_file.Raw]:
         """Take a message received at `now`; return the messages to write."""
         self._held.append((now, message))
         if self._open and (self._quiet_since is None or now < self._all_until):
@@ -91,7 +88,7 @@ class Gate:
                 written.append(old)
         return written
 
-    def _all(self) -> list[Raw]:
+    def _all(self) -> list[mcap_file.Raw]:
         messages = [message for _, message in self._held]
         self._held.clear()
         return messages
@@ -135,7 +132,7 @@ class DockingRecorder:
         self._code = 0  # last error code of docking_state in this record
         self._flushed = self._pruned = 0.0
 
-    def take(self, now: float, message: Raw) -> None:
+    def take(self, now: float, message: mcap_file.Raw) -> None:
         """Take one message; an unreadable one, as a foreign node may send it, is left out."""
         body: Any = None
         if message.topic in (self._state, self._decision):
@@ -179,7 +176,7 @@ class DockingRecorder:
                 self._pruned = now
                 self._folder.prune()
             if self._mcap.stream.tell() > self._folder.max_bytes // 2:
-                raise RecordingError("this record has half of max_megabytes")
+                raise mcap_file.RecordingError("this record has half of max_megabytes")
 
     def close(self) -> None:
         """End the current record, if there is one."""
@@ -189,7 +186,7 @@ class DockingRecorder:
         if self._mcap is not None and self.path is not None:
             ending = self._ending()
             self._note(
-                END, {"ending": ending, "state": str(self._last.state), "message": cut(self._last.error_message)}
+                END, {"ending": ending, "state": str(self._last.state), "message": texts.cut(self._last.error_message)}
             )
             with self._failing():
                 self._mcap.close()
@@ -202,11 +199,11 @@ class DockingRecorder:
         self._under_way = False
         self._home_since = math.inf
 
-    def _take_state(self, now: float, message: Raw, body: Any) -> None:
+    def _take_state(self, now: float, message: mcap_file.Raw, body: Any) -> None:
         at_home = body.state == State.IDLE and not body.docked
         if not at_home and (not self._under_way or self._home_since < math.inf):  # the next docking waits for no tail
             self.close()
-            self._begin(now, message, body.request_id[:REQUEST_ID_MAX])
+            self._begin(now, message, body.request_id[: texts.REQUEST_ID_MAX])
         if self._last is None or (body.state, body.docked) != (self._last.state, self._last.docked):
             self._kinds = set()
         self._last = body
@@ -220,7 +217,7 @@ class DockingRecorder:
         else:
             self._gate.wake()
 
-    def _begin(self, now: float, message: Raw, request_id: str) -> None:
+    def _begin(self, now: float, message: mcap_file.Raw, request_id: str) -> None:
         self._under_way, self._went_out, self._arrived = True, False, False
         self._lost_since = math.inf
         self._code, self.problem = 0, ""
@@ -232,7 +229,7 @@ class DockingRecorder:
             try:
                 self._mcap = McapWriter(stream, self._topics, [(ABOUT, about)])
                 flush(stream)  # from now on the head shows that the file is ours, even after a crash
-            except (OSError, RecordingError):
+            except (OSError, mcap_file.RecordingError):
                 stream.close()
                 self.path.unlink()
                 raise
@@ -244,7 +241,7 @@ class DockingRecorder:
             return Code(self._code).name if self._code in list(Code) else str(self._code)
         return "OK" if self._arrived else "UNFINISHED"
 
-    def _write(self, messages: Iterable[Raw]) -> None:
+    def _write(self, messages: Iterable[mcap_file.Raw]) -> None:
         with self._failing():
             for message in messages:
                 if self._mcap is not None:
@@ -260,7 +257,7 @@ class DockingRecorder:
         """End the recording of this docking if the disk does not accept it, or a library is missing."""
         try:
             yield
-        except (OSError, RecordingError) as error:
+        except (OSError, mcap_file.RecordingError) as error:
             self.fail(error)
 
     def fail(self, error: Exception) -> None:

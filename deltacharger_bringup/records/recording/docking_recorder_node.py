@@ -6,8 +6,6 @@ and docking_node's parameters. Publishes /diagnostics. It commands nothing: a fu
 library or its own end never affects docking. One thread reads the topics and writes.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import deque
@@ -19,20 +17,9 @@ from deltacharger.action import Dock, Undock
 from rclpy.node import Node
 
 from deltacharger_bringup.records.node_parameters import ParameterReader
-from deltacharger_bringup.records.recording.docking_recorder import DockingRecorder
-from deltacharger_bringup.records.recording.folder import DockingRecorderNodeParameters, RecordFolder
-from deltacharger_bringup.records.recording.mcap_recording import ACTIONS, STATE, TOPICS, PolledTopics, schema_text
-from deltacharger_core import environment
-from deltacharger_core.environment import package_version
-from deltacharger_core.files import given_path
-from deltacharger_core.mcap_file import Raw, RecordingError, require_mcap
-from deltacharger_core.real_time import HOST
-from deltacharger_core.ros import node_support
-from deltacharger_core.ros.diagnostics import ERROR, OK, Diagnostics
-from deltacharger_core.ros.log import Log
-from deltacharger_core.ros.messages import to_outcome
-from deltacharger_core.ros.parameters import declare_all, reject_unknown
-from deltacharger_core.ros.qos import SERVICE
+from deltacharger_bringup.records.recording import docking_recorder, folder, mcap_recording
+from deltacharger_core import environment, files, mcap_file, real_time
+from deltacharger_core.ros import diagnostics, log, messages, node_support, parameters, qos
 
 _POLL = 0.02  # s between reads of the topics
 _TICK = 0.2  # s between calls of the recorder's `tick`
@@ -46,35 +33,39 @@ class DockingRecorderNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("docking_recorder_node", **kwargs)
-        self._log = Log(self)
-        given = declare_all(self, DockingRecorderNodeParameters)
-        reject_unknown(self)
+        self._log = log.Log(self)
+        given = parameters.declare_all(self, folder.DockingRecorderNodeParameters)
+        parameters.reject_unknown(self)
         environment.prepare()
-        self._folder = given_path(given.folder)
-        self._recorder = DockingRecorder(
-            RecordFolder(self._folder, given.max_megabytes * 10**6),
-            {self.resolve_topic_name(topic.name): topic for topic in TOPICS},
-            {"version": package_version(), "scene": given.scene, "namespace": self.get_namespace()},
+        self._folder = files.given_path(given.folder)
+        self._recorder = docking_recorder.DockingRecorder(
+            folder.RecordFolder(self._folder, given.max_megabytes * 10**6),
+            {self.resolve_topic_name(topic.name): topic for topic in mcap_recording.TOPICS},
+            {"version": environment.package_version(), "scene": given.scene, "namespace": self.get_namespace()},
         )
         try:
-            require_mcap()
-            for topic in TOPICS:
-                schema_text(topic.kind)  # report a missing definition now, not at the first docking
-        except RecordingError as error:
+            mcap_file.require_mcap()
+            for topic in mcap_recording.TOPICS:
+                mcap_recording.schema_text(topic.kind)  # report a missing definition now, not at the first docking
+        except mcap_file.RecordingError as error:
             self._recorder.fail(error)
             self._log.error(self._recorder.problem)
-        self._state = self.resolve_topic_name(STATE)
-        self._feedback = {self.resolve_topic_name(f"{action}/_action/feedback"): action for action in ACTIONS}
+        self._state = self.resolve_topic_name(mcap_recording.STATE)
+        self._feedback = {
+            self.resolve_topic_name(f"{action}/_action/feedback"): action for action in mcap_recording.ACTIONS
+        }
         self._asked: deque[bytes] = deque(maxlen=_GOALS_MAX)
         self._received: deque[Callable[[], None]] = deque()
         self._stopping = threading.Event()
         self._results: dict[str, Any] = {
-            action: self.create_client(kind.Impl.GetResultService, f"{action}/_action/get_result", qos_profile=SERVICE)
-            for action, kind in zip(ACTIONS, (Dock, Undock), strict=True)
+            action: self.create_client(
+                kind.Impl.GetResultService, f"{action}/_action/get_result", qos_profile=qos.SERVICE
+            )
+            for action, kind in zip(mcap_recording.ACTIONS, (Dock, Undock), strict=True)
         }
         self._docking_parameters = ParameterReader(self, "docking_node")
-        self._diagnostics = Diagnostics(self)
-        self._topics = PolledTopics(self, TOPICS)
+        self._diagnostics = diagnostics.Diagnostics(self)
+        self._topics = mcap_recording.PolledTopics(self, mcap_recording.TOPICS)
         self._thread = threading.Thread(target=self._loop, name="docking recorder", daemon=True)
         self._thread.start()
 
@@ -88,8 +79,8 @@ class DockingRecorderNode(Node):
         self._stopping.set()
         self._thread.join(10.0)
 
-    def _take(self, message: Raw) -> None:
-        self._recorder.take(time.monotonic() - HOST.age(1e-9 * message.received), message)
+    def _take(self, message: mcap_file.Raw) -> None:
+        self._recorder.take(time.monotonic() - real_time.HOST.age(1e-9 * message.received), message)
         action = self._feedback.get(message.topic)
         if action is not None:
             self._ask_result(action, message.data[_ID])
@@ -104,7 +95,7 @@ class DockingRecorderNode(Node):
         def on_result(done: Any) -> None:
             answer = done.result() if done.exception() is None else None
             if answer is not None and answer.status:
-                self._received.append(lambda: self._recorder.take_result(to_outcome(action, answer.result)))
+                self._received.append(lambda: self._recorder.take_result(messages.to_outcome(action, answer.result)))
 
         request = client.srv_type.Request()
         request.goal_id.uuid = list(goal)
@@ -148,11 +139,11 @@ class DockingRecorderNode(Node):
 
     def _diagnose(self) -> None:
         recorder = self._recorder
-        level, text = OK, "waiting for a docking"
+        level, text = diagnostics.OK, "waiting for a docking"
         if recorder.path is not None:
             text = f"recording {recorder.path.name}"
         if recorder.problem:
-            level, text = ERROR, recorder.problem
+            level, text = diagnostics.ERROR, recorder.problem
         self._diagnostics.report(level, text, {"folder": self._folder}, "recording")
 
 

@@ -5,8 +5,6 @@ Above it the files not written for the longest time are removed, if name and hea
 them: a name alone proves nothing, because a person's recording may have a similar one. Nothing else is ever removed.
 """
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import os
@@ -17,9 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from deltacharger_core.files import sync_folder
-from deltacharger_core.mcap_file import head_of
-from deltacharger_core.parameters import Bounded, number, words
+from deltacharger_core import files, mcap_file, parameters
+from deltacharger_core.parameters import number, words
 
 SUFFIX, PARTIAL = ".mcap", ".mcap.partial"
 """Ending of a record's name, and of one in progress."""
@@ -35,7 +32,7 @@ _ID_MAX = 60  # characters of a request id in a name
 
 
 @dataclass(frozen=True)
-class DockingRecorderNodeParameters(Bounded):
+class DockingRecorderNodeParameters(parameters.Bounded):
     """Folder of records, its limit, and the scene's name."""
 
     folder: str = words("~/deltacharger_records", "folder of the records")
@@ -81,7 +78,7 @@ class RecordFolder:
         """
         path = self._free(f"{partial.name.removesuffix(PARTIAL)}-{ending}", SUFFIX)
         partial.rename(path)
-        sync_folder(self.path)
+        files.sync_folder(self.path)
         return path
 
     def prune(self) -> None:
@@ -119,7 +116,7 @@ def is_ours(path: Path) -> bool:
     """
     if not stat.S_ISREG(path.lstat().st_mode):
         return False
-    library, name, _ = head_of(path)
+    library, name, _ = mcap_file.head_of(path)
     return (library, name) == (LIBRARY, ABOUT)
 
 

@@ -32,8 +32,7 @@ from rclpy.qos import QoSProfile
 from trajectory_msgs.msg import JointTrajectory
 
 from deltacharger_bringup.records.recording.folder import LIBRARY
-from deltacharger_core.files import flush
-from deltacharger_core.mcap_file import Raw, RecordingError, require_mcap
+from deltacharger_core import files, mcap_file
 from deltacharger_core.ros import qos
 from deltacharger_core.ros.on_demand import PolledTopic
 
@@ -71,13 +70,13 @@ class PolledTopics:
             wanted = QoSProfile(depth=topic.queue, reliability=topic.qos.reliability, durability=topic.qos.durability)
             self._topics.append(PolledTopic(node, topic.kind, topic.name, wanted, raw=True))
 
-    def take_messages(self) -> list[Raw]:
+    def take_messages(self) -> list[mcap_file.Raw]:
         """Return the messages since the last call, in order of reception."""
         found = []
         for topic in self._topics:
             for data, info in topic.take():
                 received = int(info["received_timestamp"]) or time.time_ns()
-                found.append(Raw(topic.name, received, int(info["source_timestamp"]), bytes(data)))
+                found.append(mcap_file.Raw(topic.name, received, int(info["source_timestamp"]), bytes(data)))
         return sorted(found, key=lambda message: message.received)
 
 
@@ -136,7 +135,7 @@ class McapWriter:
     def __init__(
         self, stream: BinaryIO, topics: Mapping[str, Topic], metadata: Iterable[tuple[str, Mapping[str, str]]] = ()
     ) -> None:
-        require_mcap()
+        mcap_file.require_mcap()
         from mcap.writer import Writer
 
         self.stream = stream
@@ -156,7 +155,7 @@ class McapWriter:
     def __exit__(self, *exception: object) -> None:
         self.close()
 
-    def add(self, message: Raw) -> None:
+    def add(self, message: mcap_file.Raw) -> None:
         """Append a message; KeyError for an undeclared topic."""
         self._writer.add_message(self._channels[message.topic], message.received, message.data, message.published)
 
@@ -167,7 +166,7 @@ class McapWriter:
     def close(self) -> None:
         """Write the index, and close the stream when everything is on the disk."""
         self._writer.finish()
-        flush(self.stream)
+        files.flush(self.stream)
         self.stream.close()
 
 
@@ -218,4 +217,4 @@ def _definition(package: str, name: str) -> str:
             return (share / "action" / f"{action}.action").read_text(encoding="utf-8").split("\n---\n")[2]
         return (share / "msg" / f"{name}.msg").read_text(encoding="utf-8")
     except (PackageNotFoundError, OSError) as error:
-        raise RecordingError(f"the definition of {package}/msg/{name} is not installed: {error}") from error
+        raise mcap_file.RecordingError(f"the definition of {package}/msg/{name} is not installed: {error}") from error

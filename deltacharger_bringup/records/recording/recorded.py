@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Read one charger's topics from an MCAP file: a record, or what `ros2 bag record` wrote."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -10,8 +8,7 @@ from typing import Any
 
 from rclpy.serialization import deserialize_message
 
-from deltacharger_bringup.records.recording.folder import ABOUT
-from deltacharger_bringup.records.recording.mcap_recording import STATE, TOPICS, Topic, schema_text, type_name
+from deltacharger_bringup.records.recording import folder, mcap_recording
 from deltacharger_core.mcap_file import DamagedRecording, McapFile, RecordingError
 
 _PART = re.compile(r"\n=+\nMSG: ")
@@ -38,13 +35,19 @@ class Recording:
         OSError: it cannot be read.
     """
 
-    def __init__(self, path: Path, namespace: str = "", topics: Sequence[Topic] = TOPICS, states: bool = True) -> None:
+    def __init__(
+        self,
+        path: Path,
+        namespace: str = "",
+        topics: Sequence[mcap_recording.Topic] = mcap_recording.TOPICS,
+        states: bool = True,
+    ) -> None:
         self.file = McapFile(path)
         self.path, self.damage = self.file.path, self.file.damage
         chargers = _chargers(self.file, topics, states)
         wanted = f"/{namespace.strip('/')}" if namespace else ""
         if not chargers or (wanted and wanted not in chargers):
-            what = f"{STATE if states else 'topic of a charger'}{f' of {wanted}' if wanted else ''}"
+            what = f"{mcap_recording.STATE if states else 'topic of a charger'}{f' of {wanted}' if wanted else ''}"
             held = ", ".join(chargers or sorted(self.file.types)) or "nothing"
             why = f" ({self.damage})" if self.damage else ""
             raise RecordingError(f"{self.path} holds no {what}; it holds {held}{why}")
@@ -56,10 +59,10 @@ class Recording:
         self.counts = {topic.name: self.file.counts[full] for full, topic in self._topics.items()}
         for full, topic in self._topics.items():
             _check_fields(self.file, full, topic.kind)
-        if states and not self.counts[STATE]:
+        if states and not self.counts[mcap_recording.STATE]:
             raise RecordingError(f"{self.path} has no readable docking_state: {self.damage or 'no messages'}")
 
-    def messages(self) -> Iterator[tuple[Topic, int, bytes]]:
+    def messages(self) -> Iterator[tuple[mcap_recording.Topic, int, bytes]]:
         """Yield each message, undecoded, in the order of the file, up to its damage: topic, ns since 1970, CDR."""
         try:
             for message in self.file.messages(*self._topics):
@@ -76,14 +79,18 @@ class Recording:
             self.damage = str(error)
 
 
-def _chargers(file: McapFile, topics: Sequence[Topic], states: bool) -> dict[str, dict[str, Topic]]:
+def _chargers(
+    file: McapFile, topics: Sequence[mcap_recording.Topic], states: bool
+) -> dict[str, dict[str, mcap_recording.Topic]]:
     """Return each charger's topics by full name, by its namespace: with docking_state only, if any or `states`."""
-    found: dict[str, dict[str, Topic]] = {}
+    found: dict[str, dict[str, mcap_recording.Topic]] = {}
     for full, kind in file.types.items():
         for topic in topics:
-            if full.endswith(f"/{topic.name}") and kind == type_name(topic.kind):
+            if full.endswith(f"/{topic.name}") and kind == mcap_recording.type_name(topic.kind):
                 found.setdefault(full.removesuffix(topic.name).rstrip("/") or "/", {})[full] = topic
-    docking = {name: own for name, own in found.items() if any(topic.name == STATE for topic in own.values())}
+    docking = {
+        name: own for name, own in found.items() if any(topic.name == mcap_recording.STATE for topic in own.values())
+    }
     return docking if docking or states else found
 
 
@@ -92,12 +99,12 @@ def _check_fields(file: McapFile, topic: str, kind: Any) -> None:
 
     `ros2 bag record` stores no definition that it does not find, and none of an action in a form of its own.
     """
-    about = file.metadata_named(ABOUT)
-    definition = file.definitions[topic] if about or "/action/" not in type_name(kind) else ""
-    if definition and _fields(definition) != _fields(schema_text(kind)):
+    about = file.metadata_named(folder.ABOUT)
+    definition = file.definitions[topic] if about or "/action/" not in mcap_recording.type_name(kind) else ""
+    if definition and _fields(definition) != _fields(mcap_recording.schema_text(kind)):
         writer = f"deltacharger {about[0].get('version', '')}" if about else "the version that published them"
         raise RecordingError(
-            f"{file.path}: {topic} has other fields than the installed {type_name(kind)}: use {writer}"
+            f"{file.path}: {topic} has other fields than the installed {mcap_recording.type_name(kind)}: use {writer}"
         )
 
 

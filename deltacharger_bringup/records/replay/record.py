@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A docking as a `Run`: from a record (complete, truncated by a kill, or without some topics), or from live topics."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable
@@ -13,15 +11,10 @@ from typing import Any
 from rclpy.context import Context
 
 from deltacharger_bringup.records.node_parameters import ParameterReader, known_settings, recorded_settings
-from deltacharger_bringup.records.recording.folder import ABOUT, END, RESULT
-from deltacharger_bringup.records.recording.mcap_recording import TOPICS
-from deltacharger_bringup.records.recording.recorded import Recording
+from deltacharger_bringup.records.recording import folder, mcap_recording, recorded
 from deltacharger_bringup.records.replay.run import Run, RunBuilder
-from deltacharger_core.files import parse_json
-from deltacharger_core.mcap_file import RecordingError
-from deltacharger_core.ros.client import Guest
-from deltacharger_core.ros.clock import steady_timer
-from deltacharger_core.ros.outcomes import Outcome
+from deltacharger_core import files, mcap_file
+from deltacharger_core.ros import client, clock, outcomes
 
 _LONGEST = 200  # characters of a reason
 _ASK = 0.1  # s between attempts to read docking_node's parameters
@@ -37,12 +30,12 @@ class Replay(Run):
         recording: the file, its metadata and its damage.
     """
 
-    recording: Recording = field(repr=False)
+    recording: recorded.Recording = field(repr=False)
 
     @property
     def about(self) -> dict[str, str]:
         """Metadata: version, scene, namespace, request_id, began (ns since 1970)."""
-        return (self.recording.file.metadata_named(ABOUT) or [{}])[0]
+        return (self.recording.file.metadata_named(folder.ABOUT) or [{}])[0]
 
     @property
     def began_ns(self) -> int:
@@ -52,7 +45,7 @@ class Replay(Run):
     @property
     def is_complete(self) -> bool:
         """Whether the file reaches the end of the docking."""
-        return not self.damage and (bool(self.recording.file.metadata_named(END)) or self.last_phase == "idle")
+        return not self.damage and (bool(self.recording.file.metadata_named(folder.END)) or self.last_phase == "idle")
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything except the story as one JSON object."""
@@ -70,7 +63,9 @@ class Replay(Run):
             "measurements": [touch.as_dict() for touch in self.touches],
             "dropped": {
                 "damage": self.damage,
-                "missing": {topic.name: "not in the recording" for topic in TOPICS if not counts.get(topic.name)},
+                "missing": {
+                    topic.name: "not in the recording" for topic in mcap_recording.TOPICS if not counts.get(topic.name)
+                },
             },
         }
 
@@ -86,7 +81,7 @@ def replay(path: Path, namespace: str = "") -> Replay:
         RecordingError: it is not a recording of a docking.
         OSError: it cannot be read.
     """
-    recording = Recording(path, namespace)
+    recording = recorded.Recording(path, namespace)
     settings = recorded_settings(recording.file) or known_settings({})
     try:
         found, first = Replay(recording=recording), recording.file.first
@@ -94,26 +89,28 @@ def replay(path: Path, namespace: str = "") -> Replay:
         build.use(*settings)
         recording.read(lambda topic, time, message: build.take(topic, (time - first) * 1e-9, message))
         found.damage = recording.damage
-        found.results = [_outcome(parse_json(each["json"])) for each in recording.file.metadata_named(RESULT)]
+        found.results = [
+            _outcome(files.parse_json(each["json"])) for each in recording.file.metadata_named(folder.RESULT)
+        ]
         build.complete((int(found.about.get("began", first)) - first) * 1e-9)
         if any(phase.end < phase.start for phase in found.phases):
-            raise RecordingError(f"{path} goes back in time, which no recorder does: record again")
+            raise mcap_file.RecordingError(f"{path} goes back in time, which no recorder does: record again")
         found.as_dict()  # checks the other values while the file can still be refused
-    except (RecordingError, OSError):
+    except (mcap_file.RecordingError, OSError):
         raise
     except Exception as error:  # foreign messages and metadata may hold anything
         problem = f"{type(error).__name__}: {error}"[:_LONGEST]
-        raise RecordingError(f"{path} holds invalid values ({problem}): record again") from error
+        raise mcap_file.RecordingError(f"{path} holds invalid values ({problem}): record again") from error
     return found
 
 
-def _outcome(plain: dict[str, Any]) -> Outcome:
-    names = [name for name in Outcome.__dataclass_fields__ if name != "details"]
+def _outcome(plain: dict[str, Any]) -> outcomes.Outcome:
+    names = [name for name in outcomes.Outcome.__dataclass_fields__ if name != "details"]
     details = {name: value for name, value in plain.items() if name not in names}
-    return Outcome(**{name: plain[name] for name in names}, details=details)
+    return outcomes.Outcome(**{name: plain[name] for name in names}, details=details)
 
 
-class Recorder(Guest):
+class Recorder(client.Guest):
     """Fill a `Run` from a running charger's topics.
 
     Positions and forces use docking_node's own geometry and gravity, read at the beginning.
@@ -133,11 +130,11 @@ class Recorder(Guest):
         self._lock = threading.Lock()
         self._began = time.monotonic()
         self._asked = self._done = False
-        for topic in TOPICS:
+        for topic in mcap_recording.TOPICS:
             if topic.name in self._build.takers:
                 self.node.create_subscription(topic.kind, topic.name, self._taker(topic.name), topic.qos)
         self._parameters = ParameterReader(self.node, "docking_node")
-        self._asking = steady_timer(self.node, _ASK, self._ask)
+        self._asking = clock.steady_timer(self.node, _ASK, self._ask)
         self.serve()
 
     def force(self) -> float:
@@ -145,7 +142,7 @@ class Recorder(Guest):
         with self._lock:
             return self.run.motion.last("force")
 
-    def finish(self, outcome: Outcome) -> None:
+    def finish(self, outcome: outcomes.Outcome) -> None:
         """Store the outcome and stop recording, once docking_state tells that the docking is over."""
         self.wait(lambda: outcome.success or self._build.is_at_rest, _AT_REST)
         with self._lock:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """One docking as plain data, built from a charger's messages, live or recorded."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable
@@ -14,8 +12,7 @@ from deltacharger.msg import ChargerPower, DockingDecision, DockingState, ServoS
 from numpy.typing import NDArray
 
 from deltacharger_core.machine import CONTACT_FORCE
-from deltacharger_core.ros.messages import CODES, PHASES
-from deltacharger_core.ros.outcomes import Outcome
+from deltacharger_core.ros import messages, outcomes
 from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry
@@ -143,7 +140,7 @@ class Run:
     phases: list[Phase] = field(default_factory=list)
     touches: list[Touch] = field(default_factory=list)
     decisions: list[Decided] = field(default_factory=list)
-    results: list[Outcome] = field(default_factory=list)
+    results: list[outcomes.Outcome] = field(default_factory=list)
     damage: str = ""
     code: int = 0
     message: str = ""
@@ -158,7 +155,7 @@ class Run:
         """Phase at the end."""
         return self.phases[-1].state if self.phases else ""
 
-    def result_of(self, action: str) -> Outcome | None:
+    def result_of(self, action: str) -> outcomes.Outcome | None:
         """Return the first outcome of "dock" or "undock" as sent to its client; None if unknown."""
         return next((each for each in self.results if each.action == action), None)
 
@@ -234,7 +231,7 @@ class RunBuilder:
             del states[0]
         run.end = self._last - run.began
         for (start, state), (end, _) in itertools.pairwise([*states, (self._last, None)]):
-            name = PHASES.get(state.state, f"state {state.state}")
+            name = messages.PHASES.get(state.state, f"state {state.state}")
             begin, until = start - run.began, end - run.began
             if state.charging:
                 run.charged = until - begin + (0.0 if math.isnan(run.charged) else run.charged)
@@ -295,7 +292,7 @@ class RunBuilder:
     def _decision(self, time: float, message: DockingDecision) -> None:
         """Take a decision; measurements and verdicts are decisions, too."""
         values = dict(zip(message.names, message.values, strict=False))
-        state = PHASES.get(message.state, f"state {message.state}")
+        state = messages.PHASES.get(message.state, f"state {message.state}")
         self.run.decisions.append(Decided(time, state, message.kind, message.text, values))
         self._contacts += message.kind == "contact"
         if message.kind == "measured" or message.text == _FIRST_TOUCH:
@@ -310,4 +307,4 @@ class RunBuilder:
 
 
 def _named(success: bool, code: int, message: str) -> dict[str, Any]:
-    return {"success": success, "code": code, "name": CODES.get(code, f"CODE_{code}"), "message": message}
+    return {"success": success, "code": code, "name": messages.CODES.get(code, f"CODE_{code}"), "message": message}

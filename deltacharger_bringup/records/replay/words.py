@@ -1,16 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Text of a docking: its events in order, the reason for its outcome, and numbers with units for people."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from deltacharger_bringup.records.replay.run import Decided, Run
-from deltacharger_docking.clearance import CLEARANCE_SIGMAS, MisalignmentEstimate, least_clearance
-from deltacharger_docking.codes import REMEDIES, Code
+from deltacharger_docking import clearance, codes
 
 _UNITS: dict[str, tuple[float, str, int]] = {
     "Nms_per_rad": (1.0, "N·m·s/rad", 2),
@@ -113,14 +110,14 @@ def _because(run: Run, ended: Mapping[str, Any]) -> str:
     when = run.failed_at if not math.isnan(run.failed_at) else run.end
     phase = _phase_before(run, when).upper().replace("_", " ")
     charging = not math.isnan(run.charged)
-    if code == Code.CANCELED:
+    if code == codes.Code.CANCELED:
         text = f"The client canceled the goal in {phase} after {in_unit(when, 's', 1)}."
     elif code in _REASONS and not charging:
-        text = f"Charging was refused: {_REASONS[Code(code)](run, message)}."
+        text = f"Charging was refused: {_REASONS[codes.Code(code)](run, message)}."
     else:
         what = f"Charging was ended after {_duration(run.charged)}" if charging else f"Docking ended in {phase}"
         text = f"{what} by {_name(code)}: {message}."
-    remedy = REMEDIES.get(Code(code), "") if code in list(Code) else ""
+    remedy = codes.REMEDIES.get(codes.Code(code), "") if code in list(codes.Code) else ""
     if remedy and remedy.lower() not in text.lower():
         text += f" {remedy[0].upper()}{remedy[1:]}."
     return f"{text} {_way_back(run)}".rstrip()
@@ -132,8 +129,8 @@ def _tilted(run: Run, message: str) -> str:
     if not estimates:
         return f"before anything was measured by touch, {message}"
     estimate, parameters = _mean(estimates), run.parameters
-    sigmas = CLEARANCE_SIGMAS
-    left, worst = (least_clearance(estimate, parameters, spread) for spread in (0.0, sigmas))
+    sigmas = clearance.CLEARANCE_SIGMAS
+    left, worst = (clearance.least_clearance(estimate, parameters, spread) for spread in (0.0, sigmas))
     needed = in_unit(parameters.clearance_min, "m")
     times = f" in {_WORDS.get(len(estimates), len(estimates))} contacts" if len(estimates) > 1 else ""
     found = f"{in_unit(estimate.angle, 'rad')} ± {in_unit(estimate.angle_stddev, 'rad')}"
@@ -156,7 +153,7 @@ def _off(run: Run, message: str) -> str:
         f"{message}; the last measurement found {in_unit(last.across, 'm')} ± {in_unit(last.across_stddev, 'm')} "
         f"across the bars and {in_unit(last.angle, 'rad')} ± {in_unit(last.angle_stddev, 'rad')}, which leaves "
         f"{in_unit(judged[-1].clearance, 'm')} of clearance, and {needed} are needed "
-        f"at {CLEARANCE_SIGMAS:g} standard deviations"
+        f"at {clearance.CLEARANCE_SIGMAS:g} standard deviations"
     )
 
 
@@ -165,20 +162,20 @@ def _unsure(run: Run, message: str) -> str:
     return f"{message}; {unsure} of {len(run.touches)} measurements were unsure"
 
 
-_REASONS: dict[Code, Callable[[Run, str], str]] = {
-    Code.CRITICAL_ANGLE: _tilted,
-    Code.MISALIGNED: _off,
-    Code.ESTIMATE_UNSURE: _unsure,
-    Code.LEANING: lambda run, message: message,
+_REASONS: dict[codes.Code, Callable[[Run, str], str]] = {
+    codes.Code.CRITICAL_ANGLE: _tilted,
+    codes.Code.MISALIGNED: _off,
+    codes.Code.ESTIMATE_UNSURE: _unsure,
+    codes.Code.LEANING: lambda run, message: message,
 }
 
 
-def _mean(found: list[MisalignmentEstimate]) -> MisalignmentEstimate:
+def _mean(found: list[clearance.MisalignmentEstimate]) -> clearance.MisalignmentEstimate:
     """Return the mean angle of several contacts without an offset, with the largest of their standard deviations."""
     names = ("angle_stddev", "vertical_stddev", "horizontal_stddev", "across_stddev")
     angle, vertical, horizontal, across = (max(getattr(each, name) for each in found) for name in names)
     mean = sum(each.angle for each in found) / len(found)
-    return MisalignmentEstimate(mean, angle, 0.0, vertical, 0.0, horizontal, across=0.0, across_stddev=across)
+    return clearance.MisalignmentEstimate(mean, angle, 0.0, vertical, 0.0, horizontal, across=0.0, across_stddev=across)
 
 
 def _way_back(run: Run) -> str:
@@ -196,7 +193,7 @@ def _phase_before(run: Run, time: float) -> str:
 
 
 def _name(code: int) -> str:
-    return Code(code).name if code in list(Code) else str(code)
+    return codes.Code(code).name if code in list(codes.Code) else str(code)
 
 
 def _duration(seconds: float) -> str:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A charger's messages, from its topics or a recording, as the view's plain values, at limited rates."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -13,16 +11,13 @@ from rclpy.context import Context
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Image
 
-from deltacharger_bringup.records.recording.mcap_recording import DECISION, STATE, PolledTopics, Topic
+from deltacharger_bringup.records.recording import mcap_recording, recorded
 from deltacharger_bringup.records.recording.mcap_recording import TOPICS as RECORDED
-from deltacharger_bringup.records.recording.recorded import Recording, decode
 from deltacharger_bringup.records.replay.words import numbers
 from deltacharger_bringup.records.view.log import ViewLog
 from deltacharger_bringup.records.view.shapes import pad_picture
 from deltacharger_core.mcap_file import RecordingError
-from deltacharger_core.ros import qos
-from deltacharger_core.ros.client import Guest
-from deltacharger_core.ros.messages import CODES, PHASES
+from deltacharger_core.ros import client, messages, qos
 from deltacharger_docking.contact import ContactCurrent
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry
@@ -36,13 +31,13 @@ DETECTION_IMAGE, COLOR_IMAGE = "electrode_detection/image", "color/image_raw"
 
 RATES = {SERVOS: 30.0, PADS: 30.0, FELT: 30.0, FEEDBACK: 30.0, DETECTION_IMAGE: 5.0, COLOR_IMAGE: 5.0}
 """Highest display rate (Hz) of a topic; the others are displayed completely."""
-ALWAYS_THERE = (SERVOS, PADS, POWER, STATE)
+ALWAYS_THERE = (SERVOS, PADS, POWER, mcap_recording.STATE)
 """Topics published while a charger runs; the others are published while it docks."""
-_SHOWN = (SERVOS, PADS, POWER, FELT, SEEN, STATE, DECISION, FEEDBACK)
-TOPICS: tuple[Topic, ...] = (
+_SHOWN = (SERVOS, PADS, POWER, FELT, SEEN, mcap_recording.STATE, mcap_recording.DECISION, FEEDBACK)
+TOPICS: tuple[mcap_recording.Topic, ...] = (
     *(topic for topic in RECORDED if topic.name in _SHOWN),
-    Topic(DETECTION_IMAGE, Image, qos.SENSOR, queue=5),
-    Topic(COLOR_IMAGE, Image, qos.SENSOR, queue=5),
+    mcap_recording.Topic(DETECTION_IMAGE, Image, qos.SENSOR, queue=5),
+    mcap_recording.Topic(COLOR_IMAGE, Image, qos.SENSOR, queue=5),
 )
 """Displayed topics and their types."""
 
@@ -79,8 +74,8 @@ class ViewFeed:
             POWER: self._on_power,
             FELT: self._on_misalignment,
             SEEN: self._on_detection,
-            STATE: self._on_state,
-            DECISION: self._on_decision,
+            mcap_recording.STATE: self._on_state,
+            mcap_recording.DECISION: self._on_decision,
             FEEDBACK: self._on_feedback,
             DETECTION_IMAGE: lambda message, now: self._on_image("detection", message),
             COLOR_IMAGE: lambda message, now: self._on_image("color", message),
@@ -154,13 +149,13 @@ class ViewFeed:
         self._log.target("seen", (place.x, place.y, place.z), message.roll)
 
     def _on_state(self, message: Any, now: float) -> None:
-        phase = PHASES.get(message.state, f"state {message.state}")
+        phase = messages.PHASES.get(message.state, f"state {message.state}")
         if self._phase in ("", "idle") and phase != "idle" and not message.docked:
             self._energy = 0.0
         self._phase = phase
         failure = ""
         if message.error_code:
-            failure = f"{message.error_code} {CODES.get(message.error_code, '')}: {message.error_message}"
+            failure = f"{message.error_code} {messages.CODES.get(message.error_code, '')}: {message.error_message}"
         if self._log.state("docking", phase) or failure:
             self._log.line(failure or phase.replace("_", " "), level="ERROR" if failure else "INFO")
         self._log.state("docked", "docked" if message.docked else "no")
@@ -202,7 +197,7 @@ def status_page(message: Any, phase: str, failure: str) -> str:
     return "\n".join(lines)
 
 
-class Listener(Guest):
+class Listener(client.Guest):
     """Subscribes, and passes messages to a feed; messages that are not displayed are not even decoded.
 
     It uses no executor: at 300 messages a second, that costs more than displaying them, and latency does not matter.
@@ -213,9 +208,9 @@ class Listener(Guest):
         topics: relative names; their queues must hold the messages between two polls.
     """
 
-    def __init__(self, context: Context, namespace: str, topics: Sequence[Topic]) -> None:
+    def __init__(self, context: Context, namespace: str, topics: Sequence[mcap_recording.Topic]) -> None:
         super().__init__("charger_view", context, namespace)
-        self._topics = PolledTopics(self.node, topics)
+        self._topics = mcap_recording.PolledTopics(self.node, topics)
         self._by_name = {self.node.resolve_topic_name(topic.name): topic for topic in topics}
 
     def hand(self, feed: ViewFeed) -> None:
@@ -225,7 +220,7 @@ class Listener(Guest):
             feed.take(topic.name, message.received, partial(deserialize_message, message.data, topic.kind))
 
 
-def play(recording: Recording, feed: ViewFeed, stop: Callable[[], bool]) -> None:
+def play(recording: recorded.Recording, feed: ViewFeed, stop: Callable[[], bool]) -> None:
     """Pass every message to `feed` at full speed, until `stop`.
 
     Raises:
@@ -234,6 +229,6 @@ def play(recording: Recording, feed: ViewFeed, stop: Callable[[], bool]) -> None
     for topic, received, data in recording.messages():
         if stop():
             return
-        feed.take(topic.name, received, partial(decode, data, topic.kind))
+        feed.take(topic.name, received, partial(recorded.decode, data, topic.kind))
     if recording.damage:
         raise RecordingError(f"{recording.path}: {recording.damage}")

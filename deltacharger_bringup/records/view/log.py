@@ -4,8 +4,6 @@
 Every value is logged on two timelines: `run`, s since the first message, and `clock`, the time of day.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Mapping, Sequence

@@ -9,8 +9,6 @@ kinematics, with the stamp of servo_state, at most 30 times a second; nothing wh
 Parameters: geometry_file or the arm's single dimensions.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -22,10 +20,8 @@ from sensor_msgs.msg import JointState
 from deltacharger_core.frames import CHARGER_BASE, JointFrameParameters
 from deltacharger_core.ros import node_support, qos
 from deltacharger_core.ros.parameters import declare_all, declare_file, reject_unknown
-from deltacharger_kinematics.geometry import DeltaGeometry, load_geometry
-from deltacharger_kinematics.parameters import GeometryFileParameters
+from deltacharger_kinematics import geometry, parameters, scalar
 from deltacharger_kinematics.passive_joints import passive_joints
-from deltacharger_kinematics.scalar import ScalarDelta
 
 _PERIOD = 1.0 / 30.0  # s, the shortest between two messages: as often as a screen shows them
 
@@ -37,7 +33,9 @@ class PassiveJointsNode(Node):
         super().__init__("passive_joints_node", **kwargs)
         frames = declare_all(self, JointFrameParameters)
         self._frame_id, self._prefix = frames.named(CHARGER_BASE), frames.joint_prefix
-        self._delta = ScalarDelta(declare_file(self, GeometryFileParameters, load_geometry) or DeltaGeometry())
+        self._delta = scalar.ScalarDelta(
+            declare_file(self, parameters.GeometryFileParameters, geometry.load_geometry) or geometry.DeltaGeometry()
+        )
         reject_unknown(self)
         self._last = -math.inf
         self._joints = self.create_publisher(JointState, "joint_states", qos.DEFAULT_DEPTH)

@@ -5,8 +5,6 @@ Positions are in charger_base unless a docstring names another frame. Dimensions
 urdf/deltacharger.urdf.xacro; the paper gives no drawing. Colours are red, green, blue, 0 to 255.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -14,8 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from deltacharger_core.arrays import Array
-from deltacharger_core.machine import PAD_DISTANCE
+from deltacharger_core import arrays, machine
 from deltacharger_kinematics.geometry import LIMB_COUNT, LIMB_DIRECTIONS, DeltaGeometry, Limb
 from deltacharger_vision.terminal import Terminal
 
@@ -64,7 +61,7 @@ _ANCHORS = (  # closer at small forces: a docked pad carries about 2 N on its st
 )
 
 
-def motors(geometry: DeltaGeometry) -> Array:
+def motors(geometry: DeltaGeometry) -> arrays.Array:
     """Return the centres of the motor axes (3 limbs, 3) m in charger_base."""
     limbs = [geometry.limb(index) for index in range(LIMB_COUNT)]
     return np.array(
@@ -75,7 +72,7 @@ def motors(geometry: DeltaGeometry) -> Array:
     )
 
 
-def elbows(geometry: DeltaGeometry, angles: Sequence[float]) -> Array:
+def elbows(geometry: DeltaGeometry, angles: Sequence[float]) -> arrays.Array:
     """Return the centres of the elbow axes (3 limbs, 3) m in charger_base.
 
     Args:
@@ -90,13 +87,13 @@ def elbows(geometry: DeltaGeometry, angles: Sequence[float]) -> Array:
     return found
 
 
-def feet(geometry: DeltaGeometry) -> Array:
+def feet(geometry: DeltaGeometry) -> arrays.Array:
     """Return the centres of the platform's joint axes (3 limbs, 3) m in end_effector."""
     limbs = [geometry.limb(index) for index in range(LIMB_COUNT)]
     return np.array([_around(limb, limb.platform_radius, 0.0, 0.0) for limb in limbs])
 
 
-def rods(geometry: DeltaGeometry, angles: Sequence[float], position: Sequence[float]) -> Array:
+def rods(geometry: DeltaGeometry, angles: Sequence[float], position: Sequence[float]) -> arrays.Array:
     """Return both ends, elbow first, of the six rods (6, 2, 3) m in charger_base, limb by limb, left before right.
 
     Args:
@@ -113,7 +110,7 @@ def rods(geometry: DeltaGeometry, angles: Sequence[float], position: Sequence[fl
     return np.array(found)
 
 
-def _around(limb: Limb, radial: float, tangential: float, height: float) -> Array:
+def _around(limb: Limb, radial: float, tangential: float, height: float) -> arrays.Array:
     cosine, sine = limb.cosine, limb.sine
     return np.array([radial * cosine - tangential * sine, radial * sine + tangential * cosine, height])
 
@@ -153,7 +150,7 @@ def base(geometry: DeltaGeometry) -> Boxes:
     return boxes
 
 
-def ring(geometry: DeltaGeometry) -> Array:
+def ring(geometry: DeltaGeometry) -> arrays.Array:
     """Return the setup ring's line (n, 3) m in charger_base."""
     radius = geometry.base_radius + 0.002
     turn = np.linspace(0.0, 2.0 * math.pi, 49)
@@ -178,7 +175,7 @@ def platform(geometry: DeltaGeometry) -> Boxes:
     for side in (1.0, -1.0):
         bar = (terminal.bar_length, terminal.bar_height, terminal.bar_thickness)
         boxes.add((0.0, side * terminal.spacing / 2, -terminal.bar_thickness / 2), bar, ELECTRODE)
-        boxes.add((side * PAD_DISTANCE, 0.0, -_PAD[2] / 2), _PAD, PAD)
+        boxes.add((side * machine.PAD_DISTANCE, 0.0, -_PAD[2] / 2), _PAD, PAD)
     return boxes
 
 
@@ -200,7 +197,9 @@ def camera() -> Boxes:
     return boxes
 
 
-def moving(geometry: DeltaGeometry, angles: Sequence[float], position: Sequence[float]) -> tuple[Array, Array]:
+def moving(
+    geometry: DeltaGeometry, angles: Sequence[float], position: Sequence[float]
+) -> tuple[arrays.Array, arrays.Array]:
     """Return arms (3, 2, 3) and rods (6, 2, 3) as lines between their joints, m in charger_base.
 
     Args:

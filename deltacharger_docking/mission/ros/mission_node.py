@@ -6,8 +6,6 @@ docking_state; publishes /diagnostics. One thread steps the machine. It drives n
 navigator continues to its goal, and docking_node supervises charging.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import threading
@@ -18,20 +16,13 @@ from typing import Any
 from deltacharger.action import ChargeRobot
 from rclpy.node import Node
 
-from deltacharger_core.frames import END_EFFECTOR, TransformParameters
-from deltacharger_core.ros import node_support
-from deltacharger_core.ros.action_server import GoalHandle, Work, WorkServer
-from deltacharger_core.ros.diagnostics import OK, WARN, Diagnostics
+from deltacharger_core import frames, texts
+from deltacharger_core.ros import action_server, diagnostics, messages, node_support, parameters
 from deltacharger_core.ros.frames import Frames, TransformError
 from deltacharger_core.ros.log import Log
-from deltacharger_core.ros.messages import duration, to_result
-from deltacharger_core.ros.parameters import declare_all, reject_unknown
-from deltacharger_core.texts import quantity, titled
 from deltacharger_docking.codes import Busy, Canceled, DockingError, Rejected
-from deltacharger_docking.mission.dialogue import MissionOutcome, MissionStatus, Stage
-from deltacharger_docking.mission.machine import MissionMachine
+from deltacharger_docking.mission import dialogue, machine, places
 from deltacharger_docking.mission.parameters import MissionParameters
-from deltacharger_docking.mission.places import BaseMount, Place
 from deltacharger_docking.mission.ros import others as io
 from deltacharger_docking.mission.ros.others import Others
 from deltacharger_docking.ros.messages import MEASURED, refusal
@@ -62,14 +53,14 @@ def load_navigation(name: str) -> Any:
     return NavigateToPose
 
 
-class _Mission(Work):
+class _Mission(action_server.Work):
     """The mission being served."""
 
-    def __init__(self, handle: GoalHandle, log: Log, docked: Any) -> None:
+    def __init__(self, handle: action_server.GoalHandle, log: Log, docked: Any) -> None:
         super().__init__(handle)
         self.docked = docked  # the result of its last docking
-        self.log = PhaseLog(log, Stage.WAIT)
-        self.log.begin(titled("charge_robot", handle.request.request_id))
+        self.log = PhaseLog(log, dialogue.Stage.WAIT)
+        self.log.begin(texts.titled("charge_robot", handle.request.request_id))
         self.is_canceled = False  # the machine knows it
 
 
@@ -79,33 +70,33 @@ class MissionNode(Node):
     def __init__(self, **kwargs: Any) -> None:
         self._closed = True  # nothing to cancel before the node is complete
         super().__init__("mission_node", **kwargs)
-        self._given = given = declare_all(self, MissionParameters)
-        transforms = declare_all(self, TransformParameters)
-        reject_unknown(self)
+        self._given = given = parameters.declare_all(self, MissionParameters)
+        transforms = parameters.declare_all(self, frames.TransformParameters)
+        parameters.reject_unknown(self)
         try:
-            mount = BaseMount(given.base_pose)
+            mount = places.BaseMount(given.base_pose)
         except ValueError as error:
             raise node_support.StartupError(f"mission_node: parameter 'base_pose': {error}") from error
         navigate_to_pose = load_navigation(given.navigation)
         self._drives = navigate_to_pose is not None
         self._frames = Frames(self, transforms, given.base_frame, given.base_pose)
-        self._end_effector = transforms.named(END_EFFECTOR)
-        home = Place(given.home_x, given.home_y, given.home_yaw, given.map_frame) if self._drives else None
-        self._machine = MissionMachine(given, mount, home)
+        self._end_effector = transforms.named(frames.END_EFFECTOR)
+        home = places.Place(given.home_x, given.home_y, given.home_yaw, given.map_frame) if self._drives else None
+        self._machine = machine.MissionMachine(given, mount, home)
         self._others = Others(self, navigate_to_pose, given, transforms)
-        self._diagnostics = Diagnostics(self)
+        self._diagnostics = diagnostics.Diagnostics(self)
         self._log = Log(self)
         self._lock = threading.RLock()
         self._mission: _Mission | None = None
         self._diagnosed = -math.inf
         self._stopping = threading.Event()
-        self._server = WorkServer(
+        self._server = action_server.WorkServer(
             self,
             ChargeRobot,
             "charge_robot",
             self._begin,
             lambda mission: mission is self._mission,
-            MissionOutcome.refused,
+            dialogue.MissionOutcome.refused,
             DockingError,
             lambda outcome, mission: _result(outcome, self._unknown_dock() if mission is None else mission.docked),
         )
@@ -162,7 +153,9 @@ class MissionNode(Node):
                 mission.is_canceled = True
                 self._machine.cancel()
             if mission.is_due(status.stage, _FEEDBACK):
-                mission.feed_back(ChargeRobot.Feedback(stage=int(status.stage), elapsed=duration(status.elapsed)))
+                mission.feed_back(
+                    ChargeRobot.Feedback(stage=int(status.stage), elapsed=messages.duration(status.elapsed))
+                )
             entered = [] if status.stage is mission.log.phase else [status.stage]
             mission.log.show(status, entered, status.elapsed, *(entered and _figures(status)))
         outcome, self._machine.outcome = self._machine.outcome, None
@@ -175,7 +168,7 @@ class MissionNode(Node):
     def _end_with(self, error: DockingError) -> None:
         self._end(self._machine.ended_by(error, time.monotonic()))
 
-    def _end(self, outcome: MissionOutcome) -> None:
+    def _end(self, outcome: dialogue.MissionOutcome) -> None:
         mission, self._mission = self._mission, None
         if mission is not None:
             mission.docked = self._others.dock_result
@@ -184,11 +177,13 @@ class MissionNode(Node):
     def _diagnose(self) -> None:
         status = self._machine.status
         stage = status.stage.name if self._machine.busy else "IDLE"
-        level, text = (WARN, f"{status.code.name}: {status.message}") if status.code else (OK, stage)
+        level, text = (
+            (diagnostics.WARN, f"{status.code.name}: {status.message}") if status.code else (diagnostics.OK, stage)
+        )
         entries = {
             "stage": stage,
             "request_id": status.request_id,
-            "elapsed": quantity(status.elapsed, ".1f", "s"),
+            "elapsed": texts.quantity(status.elapsed, ".1f", "s"),
             "views": status.views,
             "moves": status.moves,
             "place": status.place or "unknown",
@@ -196,7 +191,7 @@ class MissionNode(Node):
         }
         self._diagnostics.report(level, text, entries, "mission")
 
-    def _begin(self, handle: GoalHandle) -> _Mission:
+    def _begin(self, handle: action_server.GoalHandle) -> _Mission:
         """Begin a mission.
 
         Raises:
@@ -221,29 +216,29 @@ class MissionNode(Node):
     def _unknown_dock(self) -> Any:
         return io.unknown_dock(self._end_effector)
 
-    def _mount(self) -> BaseMount:
+    def _mount(self) -> places.BaseMount:
         """Return the mount of the arm; may wait for tf.
 
         Raises:
             Rejected: it is unknown at present.
         """
         try:
-            return BaseMount(self._frames.base_pose())
+            return places.BaseMount(self._frames.base_pose())
         except TransformError as error:
             raise refusal(error) from error
         except ValueError as error:
             raise Rejected(f"charger_base on the robot, by tf: {error}") from error
 
 
-def _figures(status: MissionStatus) -> list[str]:
+def _figures(status: dialogue.MissionStatus) -> list[str]:
     at = [] if status.place is None else [f"base at {status.place}"]
     return at + [f"{name} {count}" for name, count in (("views", status.views), ("moves", status.moves)) if count]
 
 
-def _result(outcome: MissionOutcome, dock: Any) -> ChargeRobot.Result:
+def _result(outcome: dialogue.MissionOutcome, dock: Any) -> ChargeRobot.Result:
     """Return a mission's result, with the values of the last docking."""
     details = {name: getattr(dock, name) for name in (*MEASURED, "misalignment", "suggested_base_pose")}
-    return to_result(ChargeRobot, outcome, returned=outcome.returned, **details)
+    return messages.to_result(ChargeRobot, outcome, returned=outcome.returned, **details)
 
 
 def main(args: Sequence[str] | None = None) -> int:

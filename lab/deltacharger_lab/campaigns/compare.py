@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Two campaigns of one seed, docking by docking: differences of rates and numbers, each with its interval."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Sequence

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Disturbances of a docking: taxels that read too high, a robot parked askew, a target nudged while charging."""
 
-from __future__ import annotations
-
 import math
 import random
 import statistics
@@ -11,11 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from deltacharger_core.arrays import Array
-from deltacharger_core.machine import COLUMNS, PADS, ROWS
+from deltacharger_core import arrays, machine
 from deltacharger_core.parameters import number
-from deltacharger_docking.charging import BLIND_MAX, CLEARANCE_PERIOD, UNSAFE_MAX
-from deltacharger_docking.energy import OPEN_TIMEOUT
+from deltacharger_docking import charging, energy
 from deltacharger_docking.observation import Observation
 from deltacharger_sim.virtual.virtual_charger import VirtualCharger
 from deltacharger_sim.world import World
@@ -55,11 +51,11 @@ class Nudge:
         return (self.x, self.y, self.roll) != (0.0, 0.0, 0.0)
 
 
-def high_row(excess: float, seed: int) -> Array:
+def high_row(excess: float, seed: int) -> arrays.Array:
     """Return the excess reading of each taxel (2, 10, 10) N: `excess` in one row of one pad, both drawn by `seed`."""
     source = random.Random(f"{seed} taxels.high_row")
-    found = np.zeros((PADS, ROWS, COLUMNS))
-    found[source.randrange(PADS), source.randrange(ROWS)] = excess
+    found = np.zeros((machine.PADS, machine.ROWS, machine.COLUMNS))
+    found[source.randrange(machine.PADS), source.randrange(machine.ROWS)] = excess
     return found
 
 
@@ -98,8 +94,8 @@ def watched_after() -> float:
 
     Docking ends charging after this many bad estimates, one period apart; one more may have begun before the nudge.
     """
-    looks = 1 + max(UNSAFE_MAX, BLIND_MAX)
-    return LASTS + looks * (CLEARANCE_PERIOD + _LOOK)
+    looks = 1 + max(charging.UNSAFE_MAX, charging.BLIND_MAX)
+    return LASTS + looks * (charging.CLEARANCE_PERIOD + _LOOK)
 
 
 SECONDS = 3.0  # of charging after the outcome, in which docking may still shift load between servos
@@ -148,7 +144,7 @@ class Rest:
     def _see_open(self, nudging: Nudging) -> None:
         """Advance until the commanded contactor is open; a welded one stays closed."""
         charger = self._charger
-        until = charger.now + OPEN_TIMEOUT
+        until = charger.now + energy.OPEN_TIMEOUT
         while charger.world.circuit.closed and charger.now < until:
             charger.tick()
             nudging.look()

@@ -1,25 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """One docking of a campaign, from its number to its row of results."""
 
-from __future__ import annotations
-
 import math
 import traceback
 from typing import Any
 
 from deltacharger_docking.codes import Code, DockingError
 from deltacharger_docking.observation import DockGoal, DockingOutcome
-from deltacharger_lab.campaigns import estimates, judge, targets
-from deltacharger_lab.campaigns.disturbances import SECONDS, Nudging, Rest, high_row, watched_after
+from deltacharger_lab.campaigns import disturbances, estimates, judge, keys, parts, targets
+from deltacharger_lab.campaigns.disturbances import Nudging
 from deltacharger_lab.campaigns.draw import Drawn, draw
-from deltacharger_lab.campaigns.estimates import EstimateLog
-from deltacharger_lab.campaigns.keys import known_keys
-from deltacharger_lab.campaigns.parts import AXES, FIRST, make_pads
 from deltacharger_lab.campaigns.published import published
 from deltacharger_lab.campaigns.scene import CampaignScene
 from deltacharger_lab.campaigns.trial import ExactHostile, QuickHostile, Trial
-from deltacharger_sim.virtual.quick_charger import QuickCharger
-from deltacharger_sim.virtual.virtual_charger import Effort, VirtualCharger
+from deltacharger_sim.virtual import quick_charger, virtual_charger
 
 LIMIT = 420.0  # simulated s; docking itself ends after goal_timeout and its way back
 CRASHED = "CRASHED"
@@ -43,14 +37,14 @@ RESULTS: dict[str, tuple[type, str]] = {
     "charge_current": (float, "A into the target at the outcome"),
     "rest_current": (
         float,
-        f"A per servo, contact current at rest: median over the last of {SECONDS:g} s of charging on",
+        f"A per servo, contact current at rest: median over the last of {disturbances.SECONDS:g} s of charging on",
     ),
     "rest_push": (float, "N, truth then: force of the servos on the target along z, without magnets"),
     "servo_current_1": (float, "A, size of the first servo's current then, median of its readings"),
     "servo_current_2": (float, "A, of the second"),
     "servo_current_3": (float, "A, of the third"),
     "servo_current_hottest": (float, "A, the largest of the three"),
-    "ended": (str, f"name of the code that ended charging within those {SECONDS:g} s, else empty"),
+    "ended": (str, f"name of the code that ended charging within those {disturbances.SECONDS:g} s, else empty"),
     "undocked": (str, "name of the code of undocking after that, NONE = success; empty = it did not charge"),
     "undock_time": (float, "s that undocking took"),
     "undock_message": (str, "its message of a failure, else empty"),
@@ -102,13 +96,13 @@ def columns(scene: CampaignScene) -> dict[str, tuple[type, str]]:
         "seed": (int, "of its noise and jitter"),
         "rig_seed": (int, "of its pads"),
     }
-    for axis in AXES:
+    for axis in parts.AXES:
         found[f"goal_{axis}"] = (float, "pose in the goal, charger_base, m or rad")
         found[f"place_{axis}"] = (float, "true pose of the target, charger_base, m or rad")
     for axis in "xyz":
         found[f"gravity_{axis}"] = (float, "gravity, charger_base, m/s²")
     for name in scene.drawn():
-        key = known_keys()[name]
+        key = keys.known_keys()[name]
         found[name] = (key.kind, key.description())
     return found | RESULTS | (judge.COLUMNS if scene.hostile else targets.COLUMNS if scene.targets else {})
 
@@ -144,7 +138,7 @@ def dock_once(scene: CampaignScene, seed: int, number: int, exact: bool = False)
 
 def _default(name: str) -> Any:
     """Return the value of a key that the drawn base scene leaves alone."""
-    default = known_keys()[name].default
+    default = keys.known_keys()[name].default
     return math.nan if default is None else default
 
 
@@ -154,7 +148,7 @@ def run(drawn: Drawn, exact: bool = False, goal: DockGoal | None = None, trial: 
     With a `trial` it is watched longer, and a second goal follows.
     """
     charger = make_charger(drawn, exact, trial)
-    log, effort = EstimateLog(charger, drawn.estimator, drawn.seed), Effort(charger)
+    log, effort = estimates.EstimateLog(charger, drawn.estimator, drawn.seed), virtual_charger.Effort(charger)
     nudging = Nudging(drawn.nudge, charger.world) if drawn.nudge.moves else None
     above, top = 0.0, drawn.docking.current_max
     limit = LIMIT if drawn.case is None else targets.LIMIT
@@ -183,10 +177,10 @@ def run(drawn: Drawn, exact: bool = False, goal: DockGoal | None = None, trial: 
     if drawn.case is not None:
         return row | drawn.case.judged(charger, charger.outcome) | {"servo_push": effort.most}
     if charger.machine.status.charging:
-        watched = SECONDS if trial is None else trial.watched
+        watched = disturbances.SECONDS if trial is None else trial.watched
         if nudging is not None:
-            watched = max(watched, drawn.nudge.after + watched_after())
-        row |= Rest(charger, watched, nudging).watch()
+            watched = max(watched, drawn.nudge.after + disturbances.watched_after())
+        row |= disturbances.Rest(charger, watched, nudging).watch()
     if nudging is not None:
         row["nudge_opened"] = nudging.opened
     if charger.machine.status.charging:
@@ -196,7 +190,7 @@ def run(drawn: Drawn, exact: bool = False, goal: DockGoal | None = None, trial: 
     return row | _record(charger) | {"servo_push": effort.most}
 
 
-def _undock(charger: VirtualCharger) -> dict[str, Any]:
+def _undock(charger: virtual_charger.VirtualCharger) -> dict[str, Any]:
     """Undock, and return the columns about it."""
     began, left = charger.now, charger.undock()
     mechanics = charger.world.mechanics
@@ -209,26 +203,26 @@ def _undock(charger: VirtualCharger) -> dict[str, Any]:
     }
 
 
-def make_charger(drawn: Drawn, exact: bool, trial: Trial | None = None) -> VirtualCharger:
+def make_charger(drawn: Drawn, exact: bool, trial: Trial | None = None) -> virtual_charger.VirtualCharger:
     """Return the charger of a docking, with the faults of a `trial` if given."""
-    pads = make_pads(drawn.pads, drawn.tactile, drawn.second, drawn.rig_seed, drawn.seed)
+    pads = parts.make_pads(drawn.pads, drawn.tactile, drawn.second, drawn.rig_seed, drawn.seed)
     felt = pads if trial is None else trial.pads(pads)
-    seeds, assumed, flat = (drawn.seed, drawn.rig_seed), drawn.geometry, drawn.pads == FIRST
-    charger: VirtualCharger
+    seeds, assumed, flat = (drawn.seed, drawn.rig_seed), drawn.geometry, drawn.pads == parts.FIRST
+    charger: virtual_charger.VirtualCharger
     if trial is not None and exact:
         charger = ExactHostile(trial, drawn.world, drawn.docking, *seeds, felt, assumed, drawn.profile)
     elif trial is not None:
         charger = QuickHostile(trial, drawn.world, drawn.docking, felt, *seeds, assumed, flat, drawn.profile)
     elif exact:
-        charger = VirtualCharger(drawn.world, drawn.docking, *seeds, pads, assumed, drawn.profile)
+        charger = virtual_charger.VirtualCharger(drawn.world, drawn.docking, *seeds, pads, assumed, drawn.profile)
     else:
-        charger = QuickCharger(drawn.world, drawn.docking, pads, *seeds, assumed, flat, drawn.profile)
+        charger = quick_charger.QuickCharger(drawn.world, drawn.docking, pads, *seeds, assumed, flat, drawn.profile)
     if drawn.high_row:
-        charger.excess = high_row(drawn.high_row, drawn.seed)
+        charger.excess = disturbances.high_row(drawn.high_row, drawn.seed)
     return charger
 
 
-def result(charger: VirtualCharger, outcome: DockingOutcome, above: float) -> dict[str, Any]:
+def result(charger: virtual_charger.VirtualCharger, outcome: DockingOutcome, above: float) -> dict[str, Any]:
     """Return columns of `RESULTS` at the `outcome` of a docking; later ones are empty."""
     truth, estimate = charger.world.snapshot(), outcome.estimate
     x, y, angle = truth.misalignment or (math.nan, math.nan, math.nan)
@@ -263,7 +257,7 @@ def result(charger: VirtualCharger, outcome: DockingOutcome, above: float) -> di
     }
 
 
-def _record(charger: VirtualCharger) -> dict[str, Any]:
+def _record(charger: virtual_charger.VirtualCharger) -> dict[str, Any]:
     """Return the true values so far."""
     record = charger.world.record
     return {
@@ -279,7 +273,7 @@ def _record(charger: VirtualCharger) -> dict[str, Any]:
     }
 
 
-def _estimates(log: EstimateLog) -> dict[str, Any]:
+def _estimates(log: estimates.EstimateLog) -> dict[str, Any]:
     """Return the first and the last estimate with the truth."""
     row: dict[str, Any] = {"estimates": log.count}
     for which, kept in (("first", log.first), ("last", log.last)):
@@ -297,7 +291,7 @@ def _what_was_drawn(drawn: Drawn) -> dict[str, Any]:
     target, goal = drawn.world.target, drawn.goal
     goal_pose = (*goal.position, goal.roll)
     row: dict[str, Any] = {"seed": drawn.seed, "rig_seed": drawn.rig_seed, **drawn.values}
-    for axis, value in zip(AXES, goal_pose, strict=True):
+    for axis, value in zip(parts.AXES, goal_pose, strict=True):
         row[f"goal_{axis}"] = value
         row[f"place_{axis}"] = getattr(target, axis)
     for axis in "xyz":

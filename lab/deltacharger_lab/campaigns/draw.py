@@ -1,32 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """One drawn docking of a campaign: world, pads, docking's parameters and the goal's pose of the target."""
 
-from __future__ import annotations
-
 import math
 import random
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from deltacharger_core.machine import BAR_GAP, BAR_LENGTH
-from deltacharger_core.parameters import ParameterError
+from deltacharger_core import machine, parameters
 from deltacharger_docking.observation import ElectrodePose
 from deltacharger_docking.parameters import DockingParameters, TargetProfile
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
-from deltacharger_lab.campaigns.disturbances import Nudge
-from deltacharger_lab.campaigns.keys import EstimatorErrors
-from deltacharger_lab.campaigns.parts import (
-    FIRST,
-    NOMINAL,
-    Value,
-    assumed_geometry,
-    build_parts,
-    nested,
-    second_family,
-    target_lean,
-)
+from deltacharger_lab.campaigns import disturbances, keys, parts, targets
 from deltacharger_lab.campaigns.scene import CampaignScene
-from deltacharger_lab.campaigns.targets import CASES, TargetCase
 from deltacharger_lab.second.parameters import SecondParameters
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.virtual.virtual_charger import PROFILE
@@ -63,23 +48,23 @@ class Drawn:
     """
 
     number: int
-    values: Mapping[str, Value]
+    values: Mapping[str, parts.Value]
     world: WorldParameters
     tactile: TactileParameters
     docking: DockingParameters
     goal: ElectrodePose
     seed: int
     rig_seed: int
-    estimator: EstimatorErrors
+    estimator: keys.EstimatorErrors
     geometry: DeltaGeometry | None = None
-    pads: str = FIRST
+    pads: str = parts.FIRST
     second: SecondParameters | None = None
     high_row: float = 0.0
-    nudge: Nudge = field(default_factory=Nudge)
+    nudge: disturbances.Nudge = field(default_factory=disturbances.Nudge)
     published: bool = False
     scene: str = ""
     profile: TargetProfile = PROFILE
-    case: TargetCase | None = None
+    case: targets.TargetCase | None = None
 
 
 def draw(scene: CampaignScene, seed: int, number: int) -> Drawn:
@@ -107,9 +92,9 @@ def draw(scene: CampaignScene, seed: int, number: int) -> Drawn:
         values.update(scene.dockings[number % len(scene.dockings)])
     goal = _goal(values, source("goal"))
     values |= _derived(values, goal, source)
-    world, tactile, docking = build_parts(values)
+    world, tactile, docking = parts.build_parts(values)
     kind = str(values.get("targets", ""))
-    case = CASES[kind](number, source("target")) if kind else None
+    case = targets.CASES[kind](number, source("target")) if kind else None
     if case is not None:
         world = case.world(world)
     return Drawn(
@@ -121,22 +106,22 @@ def draw(scene: CampaignScene, seed: int, number: int) -> Drawn:
         goal=goal,
         seed=source("seed").getrandbits(31),
         rig_seed=source("rig").getrandbits(31),
-        estimator=EstimatorErrors(**nested(values, "estimator")),
-        geometry=assumed_geometry(values),
-        pads=str(values.get("pads", FIRST)),
-        second=second_family(values),
+        estimator=keys.EstimatorErrors(**parts.nested(values, "estimator")),
+        geometry=parts.assumed_geometry(values),
+        pads=str(values.get("pads", parts.FIRST)),
+        second=parts.second_family(values),
         high_row=float(values.get("taxels.high_row", 0.0)),
-        nudge=Nudge(**nested(values, "nudge")),
+        nudge=disturbances.Nudge(**parts.nested(values, "nudge")),
         published=bool(values.get("published", False)),
         scene=scene.name,
-        profile=replace(PROFILE, **nested(values, "profile")) if case is None else case.profile,
+        profile=replace(PROFILE, **parts.nested(values, "profile")) if case is None else case.profile,
         case=case,
     )
 
 
-def _goal(values: Mapping[str, Value], source: random.Random) -> ElectrodePose:
+def _goal(values: Mapping[str, parts.Value], source: random.Random) -> ElectrodePose:
     """Return the target's pose as camera and hand-eye calibration report it."""
-    position = [NOMINAL[index] + float(values.get(f"target.{axis}", 0.0)) for index, axis in enumerate("xyz")]
+    position = [parts.NOMINAL[index] + float(values.get(f"target.{axis}", 0.0)) for index, axis in enumerate("xyz")]
     standing = float(values.get("target.roll", 0.0))
     limit = float(values.get("shift.limit", math.inf))
     moved = float(values.get("shift.x", 0.0)), float(values.get("shift.y", 0.0))
@@ -145,19 +130,21 @@ def _goal(values: Mapping[str, Value], source: random.Random) -> ElectrodePose:
         if max(abs(position[0] + moved[0] - x), abs(position[1] + moved[1] - y)) <= limit:
             break
     else:
-        raise ParameterError("shift.limit", limit, "is too small for these errors of vision; give a larger one")
+        raise parameters.ParameterError(
+            "shift.limit", limit, "is too small for these errors of vision; give a larger one"
+        )
     stddev = math.hypot(*(float(values.get(f"{key}_stddev", 0.0)) for key in ("camera.roll", "hand_eye.rotation")))
     pose = ElectrodePose((x, y, z), roll, stddev if stddev > _GOAL_STDDEV_LEAST else 0.0)
     return _with_lean(pose, values, turn, source) if values.get("camera.lean_stddev") else pose
 
 
 def _with_lean(
-    pose: ElectrodePose, values: Mapping[str, Value], turn: tuple[float, float], source: random.Random
+    pose: ElectrodePose, values: Mapping[str, parts.Value], turn: tuple[float, float], source: random.Random
 ) -> ElectrodePose:
     """Return `pose` with the faces' yaw and pitch as seen by a camera whose mount errs by `turn` about x and y, rad."""
     seen = float(values["camera.lean_stddev"])
     stddev = math.hypot(seen, float(values.get("hand_eye.rotation_stddev", 0.0)))
-    pitch, yaw = target_lean(values)
+    pitch, yaw = parts.target_lean(values)
     return replace(
         pose,
         pitch=pitch + turn[0] + seen * source.gauss(0.0, 1.0),
@@ -168,7 +155,7 @@ def _with_lean(
 
 
 def seen_at(
-    values: Mapping[str, Value], position: Sequence[float], roll: float, source: random.Random
+    values: Mapping[str, parts.Value], position: Sequence[float], roll: float, source: random.Random
 ) -> tuple[Vector, float, tuple[float, float]]:
     """Return the electrodes' pose as a camera sees it.
 
@@ -192,13 +179,13 @@ def seen_at(
 
 
 def _derived(
-    values: Mapping[str, Value], goal: ElectrodePose, source: Callable[[str], random.Random]
-) -> dict[str, Value]:
+    values: Mapping[str, parts.Value], goal: ElectrodePose, source: Callable[[str], random.Random]
+) -> dict[str, parts.Value]:
     """Return the derived values.
 
     These are the tilt for gravity from any direction, and the roll for a given clearance.
     """
-    found: dict[str, Value] = {}
+    found: dict[str, parts.Value] = {}
     if "gravity.anywhere" in values:
         found |= {"gravity.tilt": 0.0, "gravity.azimuth": 0.0}
     if values.get("gravity.anywhere", False):
@@ -207,7 +194,10 @@ def _derived(
         found |= {"gravity.tilt": math.atan2(math.hypot(x, z), -y), "gravity.azimuth": math.atan2(x, z)}
     if "shift.beyond_zero" in values:
         offset = goal.position[1] - float(values.get("target.y", 0.0)) - float(values.get("shift.y", 0.0))
-        size = max(zero_angle(offset, 0.5 * BAR_GAP, 0.5 * BAR_LENGTH) + float(values["shift.beyond_zero"]), 0.0)
+        size = max(
+            zero_angle(offset, 0.5 * machine.BAR_GAP, 0.5 * machine.BAR_LENGTH) + float(values["shift.beyond_zero"]),
+            0.0,
+        )
         side = source("shift.beyond_zero side").choice((-1.0, 1.0))
         found["shift.roll"] = side * size - float(values.get("target.roll", 0.0))
     return found

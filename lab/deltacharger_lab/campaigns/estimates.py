@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 
 from deltacharger_docking.clearance import MisalignmentEstimate
 from deltacharger_docking.observation import Reply, Service
-from deltacharger_lab.campaigns.keys import EstimatorErrors
-from deltacharger_lab.campaigns.parts import FROM_ONE_NEWTON, pose_model_from_one_newton
+from deltacharger_lab.campaigns import keys, parts
 from deltacharger_sim.virtual.virtual_charger import VirtualCharger
 
 AXES = ("horizontal", "vertical", "angle")
@@ -31,7 +30,7 @@ class EstimateLog:
         frozen: whether to keep no later ones.
     """
 
-    def __init__(self, charger: VirtualCharger, errors: EstimatorErrors, seed: int) -> None:
+    def __init__(self, charger: VirtualCharger, errors: keys.EstimatorErrors, seed: int) -> None:
         self._charger = charger
         self._errors = errors
         self._noise = random.Random(f"{seed} estimator")
@@ -44,8 +43,8 @@ class EstimateLog:
             from deltacharger_lab.campaigns.published import PaperClasses
 
             charger.model = PaperClasses()
-        elif errors.model == FROM_ONE_NEWTON:
-            charger.model = pose_model_from_one_newton()
+        elif errors.model == parts.FROM_ONE_NEWTON:
+            charger.model = parts.pose_model_from_one_newton()
         charger.answer[Service.ESTIMATE] = self._answer
 
     def _answer(self, reply: Reply) -> Reply | None:

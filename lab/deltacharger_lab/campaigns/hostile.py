@@ -1,16 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Faults of hostile dockings and the codes that each may end with: the table, and what is drawn of it."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import random
 
 import numpy as np
 
-from deltacharger_docking.codes import POWER_FAULTS
-from deltacharger_docking.observation import Service
+from deltacharger_docking import codes, observation
 from deltacharger_lab.campaigns import faults as do
 from deltacharger_lab.campaigns.faults import Acting, HostileFault
 
@@ -21,7 +18,7 @@ TIMED = "TIME"
 SUSPENDED = "suspended"
 """Name of the fault in which docking itself is not stepped."""
 _STATES = ("APPROACH", "CONTACT", "MEASURE", "ALIGN", "ENERGISE", "CHARGING", "RETRACT")
-_TORQUE = (Service.TORQUE_ON, Service.TORQUE_OFF)
+_TORQUE = (observation.Service.TORQUE_ON, observation.Service.TORQUE_OFF)
 _LOOSE = "NONE SERVO_FAULT STUCK"
 _PUSH_UNKNOWN = "NONE SERVO_FAULT STUCK OVERCURRENT NO_CONTACT"
 _ELSEWHERE = "NONE SERVO_FAULT STUCK NO_CONTACT NO_TACTILE_CONTACT ESTIMATE_UNSURE MISALIGNED"
@@ -69,7 +66,7 @@ FAULTS: tuple[HostileFault, ...] = (
     HostileFault(
         *("pads_stale", "pads", "NONE TACTILE_STALE"),
         seen=do.stale,
-        reply=do.silent(Service.ESTIMATE, Service.TARE),
+        reply=do.silent(observation.Service.ESTIMATE, observation.Service.TARE),
         nodelike=True,
     ),
     HostileFault("pad_dead", "pads", f"{_FELT_LESS} TACTILE_STALE", frame=do.one_pad),
@@ -120,7 +117,7 @@ FAULTS: tuple[HostileFault, ...] = (
     ),
     *(
         HostileFault(f"power_fault_{bit}", "power_fault", f"NONE {kind.code.name}", seen=do.sees(power_fault=bit))
-        for bit, (kind, _) in POWER_FAULTS.items()
+        for bit, (kind, _) in codes.POWER_FAULTS.items()
     ),
     HostileFault("contactor_opens", "contactor", "NONE POWER_STALE NO_CHARGE_CURRENT", world=do.opens),
     HostileFault(
@@ -144,32 +141,35 @@ FAULTS: tuple[HostileFault, ...] = (
     HostileFault(
         "current_while_open", "weld", "NONE CONTACTOR_WELDED POWER_STALE", (0.6, 5.0), unit="A", seen=do.leaks
     ),
-    HostileFault("probe_silent", "probe", "NONE POWER_STALE", reply=do.silent(Service.PROBE)),
-    HostileFault("probe_refused", "probe", "NONE POWER_STALE", reply=do.refused(Service.PROBE)),
+    HostileFault("probe_silent", "probe", "NONE POWER_STALE", reply=do.silent(observation.Service.PROBE)),
+    HostileFault("probe_refused", "probe", "NONE POWER_STALE", reply=do.refused(observation.Service.PROBE)),
     HostileFault(
         *("probe_late", "probe", "NONE POWER_STALE", (0.5, 3.0)),
         unit="s",
-        late=lambda a, service: a.size if service is Service.PROBE else 0.0,
+        late=lambda a, service: a.size if service is observation.Service.PROBE else 0.0,
     ),
     HostileFault(
         *("probe_short", "probe", "NONE SHORT_CIRCUIT"),
-        reply=do.answers(Service.PROBE, resistance=0.2, target_voltage=0.0),
+        reply=do.answers(observation.Service.PROBE, resistance=0.2, target_voltage=0.0),
     ),
     HostileFault(
         *("probe_open", "probe", "NONE NO_CHARGE_CURRENT LEANING"),
-        reply=do.answers(Service.PROBE, resistance=math.inf, target_voltage=math.nan),
+        reply=do.answers(observation.Service.PROBE, resistance=math.inf, target_voltage=math.nan),
     ),
     HostileFault(
         *("probe_voltage", "probe", "NONE VOLTAGE_OUT_OF_RANGE REVERSE_POLARITY POWER_STALE NO_CHARGE_CURRENT"),
         choices=(-24.0, 5.0, 45.0, math.nan),
         unit="V",
-        reply=do.answers(Service.PROBE, target_voltage=None),
+        reply=do.answers(observation.Service.PROBE, target_voltage=None),
     ),
-    HostileFault("tare_silent", "service", "NONE TACTILE_STALE", reply=do.silent(Service.TARE)),
-    HostileFault("tare_refused", "service", "NONE TACTILE_STALE", reply=do.refused(Service.TARE)),
-    HostileFault("estimate_silent", "service", "NONE TACTILE_STALE", reply=do.silent(Service.ESTIMATE)),
+    HostileFault("tare_silent", "service", "NONE TACTILE_STALE", reply=do.silent(observation.Service.TARE)),
+    HostileFault("tare_refused", "service", "NONE TACTILE_STALE", reply=do.refused(observation.Service.TARE)),
+    HostileFault("estimate_silent", "service", "NONE TACTILE_STALE", reply=do.silent(observation.Service.ESTIMATE)),
     HostileFault(
-        "estimate_refused", "service", "NONE TACTILE_STALE ESTIMATE_UNSURE", reply=do.refused(Service.ESTIMATE)
+        "estimate_refused",
+        "service",
+        "NONE TACTILE_STALE ESTIMATE_UNSURE",
+        reply=do.refused(observation.Service.ESTIMATE),
     ),
     HostileFault("torque_silent", "service", "NONE SERVO_FAULT", reply=do.silent(*_TORQUE)),
     HostileFault("torque_refused", "service", "NONE SERVO_FAULT", reply=do.refused(*_TORQUE)),

@@ -4,8 +4,6 @@
 Nothing here uses docking's or the simulation's formulas for clearance and workspace, so that an error there is seen.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any

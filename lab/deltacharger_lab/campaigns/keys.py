@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every key of a campaign's scene: its own, and all of world, pads and docking."""
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,18 +8,7 @@ from dataclasses import dataclass, field
 
 from deltacharger_core.parameters import Declaration, ParameterError, choice, declared, flag, number
 from deltacharger_docking.parameters import DockingParameters, TargetProfile
-from deltacharger_lab.campaigns.disturbances import Nudge, Parked, Taxels
-from deltacharger_lab.campaigns.parts import (
-    FIRST,
-    PACKAGED,
-    PADS,
-    POSE_MODELS,
-    SECOND,
-    Assumed,
-    Spread,
-    Value,
-    second_family,
-)
+from deltacharger_lab.campaigns import disturbances, parts
 from deltacharger_lab.second.parameters import SecondParameters
 from deltacharger_sim.parameters import TargetParameters, WorldParameters
 from deltacharger_tactile.parameters import LARGEST_HOLE
@@ -127,7 +114,7 @@ class EstimatorErrors:
     paper: bool = flag(
         False, "true = estimates are classes of the paper's CNN (0–5°, steps of 5 mm) with standard deviations of 0"
     )
-    model: str = choice(PACKAGED, POSE_MODELS, "pose model; 1N = for sensors that read nothing below 1 N")
+    model: str = choice(parts.PACKAGED, parts.POSE_MODELS, "pose model; 1N = for sensors that read nothing below 1 N")
 
 
 @dataclass(frozen=True)
@@ -141,10 +128,10 @@ class _Campaign:
     hand_eye: _HandEye = field(default_factory=_HandEye)
     gravity: _Gravity = field(default_factory=_Gravity)
     estimator: EstimatorErrors = field(default_factory=EstimatorErrors)
-    assumed: Assumed = field(default_factory=Assumed)
-    taxels: Taxels = field(default_factory=Taxels)
-    parked: Parked = field(default_factory=Parked)
-    nudge: Nudge = field(default_factory=Nudge)
+    assumed: parts.Assumed = field(default_factory=parts.Assumed)
+    taxels: disturbances.Taxels = field(default_factory=disturbances.Taxels)
+    parked: disturbances.Parked = field(default_factory=disturbances.Parked)
+    nudge: disturbances.Nudge = field(default_factory=disturbances.Nudge)
     published: bool = flag(False, "true = dock by the paper's algorithm as printed; give estimator.paper too")
     hostile: bool = flag(False, "true = one or two drawn faults act on each docking, which the world judges")
     targets: str = choice(
@@ -152,7 +139,7 @@ class _Campaign:
         ("", "kinds", "pairs", "gaps"),
         "charge targets to their end: kinds of ports in turn, packs with any profile, gaps in the current",
     )
-    pads: str = choice(FIRST, PADS, "contact physics of the pads; first = as the pose models were trained")
+    pads: str = choice(parts.FIRST, parts.PADS, "contact physics of the pads; first = as the pose models were trained")
 
 
 TAKEN = {
@@ -206,11 +193,11 @@ _BOUNDED_ABOVE = (
 """Keys that each rule of SecondParameters bounds from above. It bounds its other keys from below, so one corner of
 the ranges breaks it first."""
 
-_Ends = Mapping[str, tuple[Value, Value]]  # of each key
-_Problem = tuple[str, Value, str]  # key, value and problem
+_Ends = Mapping[str, tuple[parts.Value, parts.Value]]  # of each key
+_Problem = tuple[str, parts.Value, str]  # key, value and problem
 
 
-def refuse_contradictions(spreads: Mapping[str, Spread], dockings: Sequence[Mapping[str, Value]]) -> None:
+def refuse_contradictions(spreads: Mapping[str, parts.Spread], dockings: Sequence[Mapping[str, parts.Value]]) -> None:
     """Refuse the first key without effect or in contradiction with another.
 
     Args:
@@ -227,7 +214,7 @@ def refuse_contradictions(spreads: Mapping[str, Spread], dockings: Sequence[Mapp
             raise ParameterError(*problem)
 
 
-def _ends_of(spread: Spread) -> tuple[Value, Value]:
+def _ends_of(spread: parts.Spread) -> tuple[parts.Value, parts.Value]:
     low, high = spread.ends
     if spread.shape == "normal":
         mean, reach = float(spread.numbers[0]), _SIGMAS * float(spread.numbers[1])
@@ -269,14 +256,14 @@ def _disturbed(ends: _Ends) -> Iterator[_Problem]:
 
 
 def _pads(ends: _Ends) -> Iterator[_Problem]:
-    if SECOND not in ends.get("pads", ()):
+    if parts.SECOND not in ends.get("pads", ()):
         for name in ends:
             if name.startswith("second."):
                 yield name, ends[name][0], "has no effect if pads is first; add pads: second"
     second = {name: pair for name, pair in ends.items() if name.startswith("second.")}
     for above in _BOUNDED_ABOVE if second else ():
-        second_family({name: pair[name.removeprefix("second.") in above] for name, pair in second.items()})
-    if ends.get("pads") == (SECOND, SECOND):
+        parts.second_family({name: pair[name.removeprefix("second.") in above] for name, pair in second.items()})
+    if ends.get("pads") == (parts.SECOND, parts.SECOND):
         for name in ends:
             if name.startswith("electrode."):
                 yield name, ends[name][0], "has no effect if pads is second, which has its own family; remove one"

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of world, pads and docking from the values of a campaign's keys."""
 
-from __future__ import annotations
-
 import functools
 import math
 import random
@@ -10,9 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
-from deltacharger_core.files import brief
-from deltacharger_core.machine import CONTACT_FORCE, DOCK_DISTANCE, GRAVITY, GRAVITY_STRENGTH
-from deltacharger_core.parameters import Declaration, ParameterError, declared, did_you_mean, from_mapping, number
+from deltacharger_core import files, machine, parameters
+from deltacharger_core.parameters import number
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry, LimbAdjustment, Vector
 from deltacharger_lab.second.parameters import PlatformRestParameters, SecondParameters
@@ -42,7 +39,7 @@ class Spread:
 
     shape: str
     numbers: tuple[Value, ...]
-    key: Declaration
+    key: parameters.Declaration
 
     def draw(self, source: random.Random) -> Value:
         """Return one value within the bounds."""
@@ -80,11 +77,11 @@ class Spread:
         return min(known), max(known)
 
 
-def _usage(key: Declaration) -> str:
+def _usage(key: parameters.Declaration) -> str:
     return f"give one of {', '.join(key.choices)}, or {{choose: [ … ]}}" if key.kind is str else HELP
 
 
-def _checked(key: Declaration, value: Any, where: str) -> Value:
+def _checked(key: parameters.Declaration, value: Any, where: str) -> Value:
     """Return the value in the key's own type.
 
     Raises:
@@ -95,13 +92,13 @@ def _checked(key: Declaration, value: Any, where: str) -> Value:
     problem = "has no value" if value is None else key.problem(value)
     if problem:
         number = isinstance(value, int | float) and key.kind is not str
-        usage = "" if number else did_you_mean(value, key.choices) or f"; {_usage(key)}"
-        raise ParameterError(where, value, problem + usage)
+        usage = "" if number else parameters.did_you_mean(value, key.choices) or f"; {_usage(key)}"
+        raise parameters.ParameterError(where, value, problem + usage)
     checked: Value = key.kind(value)
     return checked
 
 
-def read_spread(value: Any, key: Declaration, where: str) -> Spread:
+def read_spread(value: Any, key: parameters.Declaration, where: str) -> Spread:
     """Return the distribution that a YAML value describes.
 
     Args:
@@ -118,7 +115,9 @@ def read_spread(value: Any, key: Declaration, where: str) -> Spread:
         if set(value) == {"choose"}:
             choices = value["choose"]
             if not isinstance(choices, list | tuple) or not choices:
-                raise ParameterError(f"{where}.choose", choices, f"{brief(choices)} is not a list of values")
+                raise parameters.ParameterError(
+                    f"{where}.choose", choices, f"{files.brief(choices)} is not a list of values"
+                )
             checked = (_checked(key, item, f"{where}.choose[{index}]") for index, item in enumerate(choices))
             return Spread("choose", tuple(checked), key)
         if set(value) == {"mean", "stddev"} and key.kind is float:
@@ -126,40 +125,44 @@ def read_spread(value: Any, key: Declaration, where: str) -> Spread:
         if len(value) == 1 and {_LOG, _SIDES} & set(value) and key.kind is float:
             shape, ends = next(iter(value.items()))
             return _read_scale(shape, ends, key, where)
-        raise ParameterError(where, dict(value), f"{brief(dict(value))} is not a distribution; {_usage(key)}")
+        raise parameters.ParameterError(
+            where, dict(value), f"{files.brief(dict(value))} is not a distribution; {_usage(key)}"
+        )
     return Spread("fixed", (_checked(key, value, where),), key)
 
 
-def _read_range(value: Any, key: Declaration, where: str) -> Spread:
+def _read_range(value: Any, key: parameters.Declaration, where: str) -> Spread:
     if len(value) != 2 or key.kind in (bool, str):
-        raise ParameterError(where, value, f"{brief(value)} is not a range [low, high]; {_usage(key)}")
+        raise parameters.ParameterError(where, value, f"{files.brief(value)} is not a range [low, high]; {_usage(key)}")
     low, high = (cast(float, _checked(key, item, f"{where}[{index}]")) for index, item in enumerate(value))
     if low > high:
-        raise ParameterError(where, value, f"{low:g} is above {high:g}; give the lower one first")
+        raise parameters.ParameterError(where, value, f"{low:g} is above {high:g}; give the lower one first")
     return Spread("range", (low, high), key)
 
 
-def _read_scale(shape: str, ends: Any, key: Declaration, where: str) -> Spread:
+def _read_scale(shape: str, ends: Any, key: parameters.Declaration, where: str) -> Spread:
     """Return a spread over sizes: logarithmic, or linear with either sign."""
     where = f"{where}.{shape}"
     if not isinstance(ends, list | tuple):
-        raise ParameterError(where, ends, f"{brief(ends)} is not a range [low, high]; {HELP}")
+        raise parameters.ParameterError(where, ends, f"{files.brief(ends)} is not a range [low, high]; {HELP}")
     low, high = cast(tuple[float, float], _read_range(ends, key, where).numbers)
     if shape == _LOG and low <= 0.0:
-        raise ParameterError(where, ends, f"{low!r} has no logarithm; give numbers above 0")
+        raise parameters.ParameterError(where, ends, f"{low!r} has no logarithm; give numbers above 0")
     if shape == _SIDES:
         if low < 0.0:
-            raise ParameterError(where, ends, f"{low!r} is not a size; give both ends ≥ 0")
+            raise parameters.ParameterError(where, ends, f"{low!r} is not a size; give both ends ≥ 0")
         _checked(key, -high, where)
     return Spread(shape, (low, high), key)
 
 
-def _read_normal(value: Mapping[str, Any], key: Declaration, where: str) -> Spread:
+def _read_normal(value: Mapping[str, Any], key: parameters.Declaration, where: str) -> Spread:
     mean, stddev = cast(float, _checked(key, value["mean"], f"{where}.mean")), value["stddev"]
     known = not isinstance(stddev, bool) and isinstance(stddev, int | float)
     if not known or not 0.0 <= stddev <= key.high - key.low:
-        raise ParameterError(
-            f"{where}.stddev", stddev, f"{brief(stddev)} is outside 0 to {key.high - key.low:g} {key.unit}".rstrip()
+        raise parameters.ParameterError(
+            f"{where}.stddev",
+            stddev,
+            f"{files.brief(stddev)} is outside 0 to {key.high - key.low:g} {key.unit}".rstrip(),
         )
     return Spread("normal", (mean, float(stddev)), key)
 
@@ -221,15 +224,15 @@ def assumed_gravity(values: Mapping[str, Value], true: Vector) -> Vector:
     `gravity.known`, else −y.
     """
     if "assumed.gravity_tilt" not in values:
-        return true if values.get("gravity.known", False) else GRAVITY
+        return true if values.get("gravity.known", False) else machine.GRAVITY
     tilt, azimuth = float(values["assumed.gravity_tilt"]), float(values.get("assumed.gravity_azimuth", 0.0))
     return _turned(tilted_gravity(tilt, azimuth), true)
 
 
 def tilted_gravity(tilt: float, azimuth: float) -> Vector:
     """Return gravity (m/s², charger_base) of a robot tilted by `tilt` toward `azimuth` (0 = +z, π/2 = +x)."""
-    level = GRAVITY_STRENGTH * math.sin(tilt)
-    return level * math.sin(azimuth), -GRAVITY_STRENGTH * math.cos(tilt), level * math.cos(azimuth)
+    level = machine.GRAVITY_STRENGTH * math.sin(tilt)
+    return level * math.sin(azimuth), -machine.GRAVITY_STRENGTH * math.cos(tilt), level * math.cos(azimuth)
 
 
 def _turned(vector: Vector, true: Vector) -> Vector:
@@ -263,7 +266,7 @@ def assumed_geometry(values: Mapping[str, Value]) -> DeltaGeometry | None:
 def _limb(common: DeltaGeometry, index: int, errors: Mapping[str, float]) -> LimbAdjustment:
     """Return the assumed differences of a limb from the common dimensions."""
     found: dict[str, Any] = {}
-    for item in declared(AssumedLimb):
+    for item in parameters.declared(AssumedLimb):
         error = errors.get(f"limb_{index}.{item.name}", 0.0)
         if error:
             found[item.name] = error + (getattr(common, item.name) if item.name in ("arm", "rod") else 0.0)
@@ -298,12 +301,12 @@ def make_pads(
 @functools.cache
 def pose_model_from_one_newton() -> PoseEstimator:
     """Return the packaged pose model for sensors that read nothing below 1 N, read once per process."""
-    return default_model(CONTACT_FORCE)
+    return default_model(machine.CONTACT_FORCE)
 
 
-NOMINAL: Vector = (0.0, 0.0, DOCK_DISTANCE)  # m, charger_base; origin of a target's offsets
+NOMINAL: Vector = (0.0, 0.0, machine.DOCK_DISTANCE)  # m, charger_base; origin of a target's offsets
 AXES = ("x", "y", "z", "roll")
-_COMPLIANCE = {key.name: key for key in declared(PlatformRestParameters)}["compliance"]
+_COMPLIANCE = {key.name: key for key in parameters.declared(PlatformRestParameters)}["compliance"]
 
 
 def build_parts(values: Mapping[str, Value]) -> tuple[WorldParameters, TactileParameters, DockingParameters]:
@@ -319,7 +322,7 @@ def build_parts(values: Mapping[str, Value]) -> tuple[WorldParameters, TactilePa
     target.update(place, z=NOMINAL[2] + place["z"])
     target["tilt_x"], target["tilt_y"] = target_lean(values)
     content.update(_axes(gravity))
-    world = from_mapping(content, WorldParameters, "world")
+    world = parameters.from_mapping(content, WorldParameters, "world")
     factor, constant = (float(values.get(f"assumed.{name}", 1.0)) for name in ("servo_stiffness", "torque_constant"))
     given: dict[str, Any] = {
         "servo_stiffness": factor * world.servo.stiffness,
@@ -329,7 +332,7 @@ def build_parts(values: Mapping[str, Value]) -> tuple[WorldParameters, TactilePa
     }
     if world.magnets.force == 0.0:  # a charger built without magnets is known to have none
         given["magnet_force"] = 0.0
-    docking = from_mapping(given | nested(values, "docking"), DockingParameters, "docking")
+    docking = parameters.from_mapping(given | nested(values, "docking"), DockingParameters, "docking")
     contact = replace(PadContactParameters(), **nested(values, "electrode"))
     return world, TactileParameters(contact=contact), docking
 
@@ -351,7 +354,7 @@ def second_family(values: Mapping[str, Value]) -> SecondParameters | None:
     content = nested(values, "second")
     if compliance := float(values.get("world.platform.compliance", 0.0)):
         content.setdefault("platform", {}).setdefault("compliance", max(compliance, _COMPLIANCE.low))
-    return from_mapping(content, SecondParameters, "second") if content else None
+    return parameters.from_mapping(content, SecondParameters, "second") if content else None
 
 
 def nested(values: Mapping[str, Value], section: str) -> dict[str, Any]:

@@ -13,8 +13,6 @@ Where the paper gives no detail, this uses docking's own: the tare at the stando
 depth of the search, 24 frames for an estimate, probe and lease, and the limits of reach and phases.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any
@@ -23,16 +21,8 @@ import numpy as np
 
 from deltacharger_core.machine import CONTACT_FORCE
 from deltacharger_core.script import Script
-from deltacharger_docking.algorithm import prepare
-from deltacharger_docking.clearance import MisalignmentEstimate
-from deltacharger_docking.codes import CriticalAngle, State
+from deltacharger_docking import algorithm, clearance, codes, energy, observation, press, release, standoff, touch
 from deltacharger_docking.context import Context
-from deltacharger_docking.energy import de_energise, energise
-from deltacharger_docking.observation import ElectrodePose
-from deltacharger_docking.press import CONTACT_TIMEOUT, check_depth, check_pads, move_aside, step_to
-from deltacharger_docking.release import take_off
-from deltacharger_docking.standoff import approach
-from deltacharger_docking.touch import ALIGNMENTS_MAX, measure, rolled_too_far
 from deltacharger_lab.training.labels import centres
 from deltacharger_tactile.classifiers import classifier
 
@@ -43,11 +33,11 @@ class PaperClasses:
     def __init__(self) -> None:
         self._networks = classifier.load("cnn")
 
-    def predict(self, left: Any, right: Any) -> MisalignmentEstimate:
+    def predict(self, left: Any, right: Any) -> clearance.MisalignmentEstimate:
         """Return the centres of the most probable classes; pads (10, 10) N below 1 N have no contact."""
         frame = np.stack((left, right))
         found = {target: float(centres(target)[net.predict(frame[None])[0]]) for target, net in self._networks.items()}
-        return MisalignmentEstimate(
+        return clearance.MisalignmentEstimate(
             angle=found["angle"],
             angle_stddev=0.0,
             vertical=found["vertical"],
@@ -61,7 +51,9 @@ class PaperClasses:
 _BACK, _STEP = 0.030, 0.005  # m: the paper's step back from too hard a push, and its step on
 
 
-def published(electrodes: ElectrodePose, critical_angle: float = math.inf) -> Callable[[Context], Script[str]]:
+def published(
+    electrodes: observation.ElectrodePose, critical_angle: float = math.inf
+) -> Callable[[Context], Script[str]]:
     """Return the paper's docking, for `DockingMachine.start`; it succeeds once charge current has been stable.
 
     Args:
@@ -76,15 +68,15 @@ def published(electrodes: ElectrodePose, critical_angle: float = math.inf) -> Ca
     def script(context: Context) -> Script[str]:
         x, y, z = electrodes.position
         depth, limit = z + context.parameters.search_depth, min(critical_angle, context.parameters.critical_angle)
-        yield from prepare(context)
-        yield from approach(context, (x, y, z))
-        yield from step_to(context, z)
+        yield from algorithm.prepare(context)
+        yield from standoff.approach(context, (x, y, z))
+        yield from press.step_to(context, z)
         if context.contact.value > context.parameters.current_max:
             yield from _back_off(context)
         yield from _press(context, depth)
         yield from _align(context, depth, limit)
-        yield from energise(context)
-        yield from de_energise(context)
+        yield from energy.energise(context)
+        yield from energy.de_energise(context)
         return "charged"
 
     return script
@@ -94,32 +86,32 @@ def _back_off(context: Context) -> Script[None]:
     x, y, z = context.position
     context.check_way((x, y, z - _BACK))
     if context.observation.tactile_contact:
-        yield from take_off(context, z - _BACK)
+        yield from release.take_off(context, z - _BACK)
         yield from context.rest()
     else:
         yield from context.move((x, y, z - _BACK), context.parameters.travel_speed)
 
 
 def _press(context: Context, depth: float) -> Script[None]:
-    context.enter(State.CONTACT, CONTACT_TIMEOUT)
+    context.enter(codes.State.CONTACT, press.CONTACT_TIMEOUT)
     while context.contact.value < context.parameters.current_min:
-        check_depth(context, depth)
-        yield from step_to(context, context.commanded[2] + _STEP)
-    check_pads(context)
+        press.check_depth(context, depth)
+        yield from press.step_to(context, context.commanded[2] + _STEP)
+    press.check_pads(context)
 
 
 def _align(context: Context, depth: float, limit: float) -> Script[None]:
     """Move by classes until both offsets are of class zero, or all moves are used."""
     status = context.status
-    found = yield from measure(context)
+    found = yield from touch.measure(context)
     if not abs(found.angle) < limit:
-        raise CriticalAngle(rolled_too_far(found.angle))
-    while (found.horizontal or found.vertical) and status.alignments < ALIGNMENTS_MAX:
+        raise codes.CriticalAngle(touch.rolled_too_far(found.angle))
+    while (found.horizontal or found.vertical) and status.alignments < touch.ALIGNMENTS_MAX:
         x, y = found.horizontal, found.vertical
         status.alignments += 1
         context.decide("move", "the electrodes move by the centres of the classes", x_m=x, y_m=y)
-        yield from move_aside(context, x, y)
+        yield from press.move_aside(context, x, y)
         yield from _press(context, depth)
-        found = yield from measure(context)
+        found = yield from touch.measure(context)
     status.aligned = not (found.horizontal or found.vertical)
     status.docked = True

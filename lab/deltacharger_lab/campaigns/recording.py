@@ -6,8 +6,6 @@ presses. The remaining offset is the error of vision and Algorithm 1. The positi
 err as in the campaign scene `default`: the mount once for a rig, the camera at every look.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math
@@ -21,13 +19,11 @@ from numpy.typing import NDArray
 
 from deltacharger_bringup.records.session import SUBSETS, Part, Rested, TouchSession, check_places
 from deltacharger_core.machine import CONTACT_FORCE, FRAME_RATE
-from deltacharger_docking.codes import DockingError
-from deltacharger_docking.observation import ElectrodePose, Reply, Service
+from deltacharger_docking import codes, observation
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import Vector
-from deltacharger_lab.campaigns.draw import seen_at
+from deltacharger_lab.campaigns import draw, scene
 from deltacharger_lab.campaigns.parts import NOMINAL
-from deltacharger_lab.campaigns.scene import DEFAULT, load_campaign_scene
 from deltacharger_lab.reports.pool import ReportTask, work
 from deltacharger_sim.pads import ContactSource
 from deltacharger_sim.parameters import TargetParameters, WorldParameters
@@ -140,7 +136,7 @@ def record_part(recording: Protocol, part: Part) -> list[Pressed]:
     x, y, z = part.target
     commands = [(x - float(dx), y - float(dy), z) for dx, dy in offsets]
     check_places(charger.machine, commands)
-    charger.answer[Service.DETECT] = lambda reply: _seen(reply, part, keeper.number, recording)
+    charger.answer[observation.Service.DETECT] = lambda reply: _seen(reply, part, keeper.number, recording)
     failures = 0
     while left := sorted(set(range(len(commands))) - {touch.number for touch in keeper.touches}):
         keeper.numbers, before = left[: recording.tare_every], len(keeper.touches)
@@ -151,19 +147,23 @@ def record_part(recording: Protocol, part: Part) -> list[Pressed]:
         keeper.session += 1
         failures = 0 if outcome.success or len(keeper.touches) > before else failures + 1
         if failures == _TRIES:
-            raise DockingError(f"{part.name}: a docking failed {_TRIES} times, {outcome.code.name}: {outcome.message}")
+            raise codes.DockingError(
+                f"{part.name}: a docking failed {_TRIES} times, {outcome.code.name}: {outcome.message}"
+            )
     return sorted(keeper.touches, key=lambda touch: touch.number)
 
 
-def _seen(reply: Reply, part: Part, number: int, recording: Protocol) -> Reply:
+def _seen(reply: observation.Reply, part: Part, number: int, recording: Protocol) -> observation.Reply:
     """Return the pose of the electrodes that the camera sees in a docking."""
-    errs = {name: spread.numbers[0] for name, spread in load_campaign_scene(DEFAULT).spreads.items()}
+    errs = {name: spread.numbers[0] for name, spread in scene.load_campaign_scene(scene.DEFAULT).spreads.items()}
     place = {name: value for name, value in errs.items() if name.startswith("hand_eye.")}
     look = {name: value for name, value in errs.items() if name.startswith("camera.")}
     mounted = random.Random(f"{recording.rig} hand_eye")
-    believed, roll, _ = seen_at(place, part.target, math.radians(part.angle_deg), mounted)
+    believed, roll, _ = draw.seen_at(place, part.target, math.radians(part.angle_deg), mounted)
     errors = random.Random(f"{recording.rig} {recording.seed} {part.name} {number}")
-    return dataclasses.replace(reply, detection=ElectrodePose(*seen_at(look, believed, roll, errors)[:2]))
+    return dataclasses.replace(
+        reply, detection=observation.ElectrodePose(*draw.seen_at(look, believed, roll, errors)[:2])
+    )
 
 
 def record_paper(recording: Protocol, progress: Callable[[str], None]) -> Dataset:

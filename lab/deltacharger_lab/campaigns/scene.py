@@ -9,9 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from deltacharger_bringup.scenes.scene import find_file, read_file
-from deltacharger_core.files import brief
-from deltacharger_core.parameters import Declaration, ParameterError, did_you_mean
-from deltacharger_core.yaml_file import read_yaml
+from deltacharger_core import files, parameters, yaml_file
 from deltacharger_lab.campaigns.keys import DERIVED, TAKEN, known_keys, refuse_contradictions
 from deltacharger_lab.campaigns.parts import Spread, Value, assumed_geometry, build_parts, read_spread
 
@@ -95,12 +93,14 @@ def _with_base(content: Any, name: str, above: tuple[str, ...] = ()) -> Any:
         return {**content, _BASE: {"choose": several}}
     packaged = packaged_campaigns()
     if not isinstance(base, str) or base not in packaged or base in (*above, name):
-        raise ParameterError(
-            _BASE, base, f"no other packaged campaign{did_you_mean(base, packaged)}: {', '.join(packaged)}"
+        raise parameters.ParameterError(
+            _BASE, base, f"no other packaged campaign{parameters.did_you_mean(base, packaged)}: {', '.join(packaged)}"
         )
     rest = {key: value for key, value in content.items() if key != _BASE}
     under = {
-        key: each for key, each in _with_base(read_yaml(packaged[base]), base, (*above, name)).items() if key != "name"
+        key: each
+        for key, each in _with_base(yaml_file.read_yaml(packaged[base]), base, (*above, name)).items()
+        if key != "name"
     }
     return _laid_over(under, rest)
 
@@ -131,14 +131,14 @@ def parse_campaign_scene(content: Any, name: str, file: str = "") -> CampaignSce
     """
     content = {} if content is None else _with_base(content, name)
     if not isinstance(content, Mapping):
-        raise ParameterError("(top)", content, "is not a mapping of keys to values")
+        raise parameters.ParameterError("(top)", content, "is not a mapping of keys to values")
     for key in content:
         if key not in _TOP:
-            known = did_you_mean(key, _TOP) or f"; known are {', '.join(_TOP)}"
-            raise ParameterError(str(key), content[key], f"unknown key{known}")
+            known = parameters.did_you_mean(key, _TOP) or f"; known are {', '.join(_TOP)}"
+            raise parameters.ParameterError(str(key), content[key], f"unknown key{known}")
     for key in ("name", "description"):
         if not isinstance(content.get(key, ""), str):
-            raise ParameterError(key, content[key], f"{brief(content[key])} is not text")
+            raise parameters.ParameterError(key, content[key], f"{files.brief(content[key])} is not text")
     spreads = dict(_spreads(content))
     own = {key: value for key, value in content.items() if key in SECTIONS}
     several = content.get(_BASE, {}).get("choose", ())
@@ -165,21 +165,25 @@ def _spreads(content: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, 
                 yield name, read_spread(value, key, f"{path}.{name}" if path else name)
 
 
-def _leaves(value: Any, name: str, where: str) -> Iterator[tuple[str, Declaration, Any]]:
+def _leaves(value: Any, name: str, where: str) -> Iterator[tuple[str, parameters.Declaration, Any]]:
     """Yield every key below a section with its value; `where` is its place in the file."""
     keys = known_keys()
     if name in keys:
         yield name, keys[name], value
         return
     if name in TAKEN:
-        raise ParameterError(where, value, f"is not set here; {TAKEN[name]}")
+        raise parameters.ParameterError(where, value, f"is not set here; {TAKEN[name]}")
     below = sorted({key[len(name) + 1 :].split(".")[0] for key in (*keys, *TAKEN) if key.startswith(f"{name}.")})
     if not below:
         parent, _, last = name.rpartition(".")
         beside = sorted({key[len(parent) + 1 :].split(".")[0] for key in keys if key.startswith(f"{parent}.")})
-        raise ParameterError(where, value, f"unknown key{did_you_mean(last, beside)}; known: {', '.join(beside)}")
+        raise parameters.ParameterError(
+            where, value, f"unknown key{parameters.did_you_mean(last, beside)}; known: {', '.join(beside)}"
+        )
     if not isinstance(value, Mapping):
-        raise ParameterError(where, value, f"{brief(value)} is not a mapping; known keys: {', '.join(below)}")
+        raise parameters.ParameterError(
+            where, value, f"{files.brief(value)} is not a mapping; known keys: {', '.join(below)}"
+        )
     for key, item in value.items():
         yield from _leaves(item, f"{name}.{key}", f"{where}.{key}")
 
@@ -188,23 +192,27 @@ def _read_dockings(entries: Any, spreads: Mapping[str, Spread]) -> tuple[Mapping
     if entries is None:
         return ()
     if not isinstance(entries, list) or not 0 < len(entries) <= _LONGEST:
-        raise ParameterError("dockings", entries, f"is not a list of 1 to {_LONGEST} dockings, each a mapping")
+        raise parameters.ParameterError(
+            "dockings", entries, f"is not a list of 1 to {_LONGEST} dockings, each a mapping"
+        )
     result = []
     for index, entry in enumerate(entries):
         where = f"dockings[{index}]"
         if not isinstance(entry, Mapping):
-            raise ParameterError(where, entry, f"{brief(entry)} is not a mapping of keys to values")
+            raise parameters.ParameterError(where, entry, f"{files.brief(entry)} is not a mapping of keys to values")
         for key in entry:
             if key not in SECTIONS:
-                raise ParameterError(f"{where}.{key}", entry[key], f"unknown key{did_you_mean(key, SECTIONS)}")
+                raise parameters.ParameterError(
+                    f"{where}.{key}", entry[key], f"unknown key{parameters.did_you_mean(key, SECTIONS)}"
+                )
         values: dict[str, Value] = {}
         for name, spread in _spreads(entry, where):
             if spread.shape != "fixed":
-                raise ParameterError(
+                raise parameters.ParameterError(
                     f"{where}.{name}", name, "a listed docking has fixed values; give ranges outside the list"
                 )
             if name in spreads:
-                raise ParameterError(f"{where}.{name}", name, "is set here and for all dockings; keep one")
+                raise parameters.ParameterError(f"{where}.{name}", name, "is set here and for all dockings; keep one")
             values[name] = spread.numbers[0]
         result.append(values)
     return tuple(result)
@@ -217,7 +225,7 @@ def _check_contradictions(scene: CampaignScene) -> None:
     for name, made in DERIVED.items():
         for other in made if name in scene.drawn() else ():
             if other in scene.spreads or any(other in values for values in scene.dockings):
-                raise ParameterError(other, other, f"is drawn by {name}; remove one of them")
+                raise parameters.ParameterError(other, other, f"is drawn by {name}; remove one of them")
     refuse_contradictions(scene.spreads, scene.dockings)
     listed: list[Mapping[str, Value]] = [{}, *scene.dockings]
     for values in listed:
@@ -234,4 +242,6 @@ def _without_effect(scene: CampaignScene, cause: str, dependent: tuple[str, ...]
     zero = spread.ends == (0.0, 0.0) and spread.shape != "normal" if spread is not None else unset
     for name in dependent:
         if zero and name in scene.spreads:
-            raise ParameterError(name, scene.spreads[name].ends[0], f"has no effect if {cause} is 0; remove one")
+            raise parameters.ParameterError(
+                name, scene.spreads[name].ends[0], f"has no effect if {cause} is 0; remove one"
+            )

@@ -18,9 +18,7 @@ from typing import IO, Any, BinaryIO
 import pyarrow
 from pyarrow import compute, parquet
 
-from deltacharger_core import environment
-from deltacharger_core.environment import package_version
-from deltacharger_core.files import atomic_write, brief, open_file, parse_json, read_text, remove_unfinished, write_text
+from deltacharger_core import environment, files
 from deltacharger_lab.campaigns.docking import columns
 from deltacharger_lab.campaigns.scene import CampaignScene, parse_campaign_scene
 
@@ -67,11 +65,11 @@ class CampaignSettings:
         Raises:
             ValueError, TypeError, KeyError: it is not such a record.
         """
-        read = CampaignSettings(**parse_json(text))
+        read = CampaignSettings(**files.parse_json(text))
         kinds = {"seed": int, "exact": bool, "scene": dict, "scene_name": str, "versions": dict}
         for name, kind in ({"n": int} | kinds).items():
             if type(value := getattr(read, name)) is not kind:
-                raise ValueError(f"{name} is {brief(value)}")
+                raise ValueError(f"{name} is {files.brief(value)}")
         if read.n < 0:
             raise ValueError(f"n is {read.n}")
         return read
@@ -107,7 +105,7 @@ def versions() -> dict[str, str]:
     return {
         "python": f"{sys.version_info[0]}.{sys.version_info[1]}",
         "numpy": np.__version__,
-        "deltacharger": package_version(),
+        "deltacharger": environment.package_version(),
         "code": _digest(),
     }
 
@@ -215,7 +213,7 @@ class Store:
         if not fresh:
             return 0
         table = pyarrow.Table.from_pylist([fresh[number] for number in sorted(fresh)], schema=self._schema)
-        with atomic_write(self.folder / f"part-{min(fresh):09d}.parquet") as path:
+        with files.atomic_write(self.folder / f"part-{min(fresh):09d}.parquet") as path:
             parquet.write_table(table, path)
         self.done.update(fresh)
         return len(fresh)
@@ -232,7 +230,7 @@ class Store:
         return lock
 
     def _open(self) -> None:
-        remove_unfinished(self.folder)
+        files.remove_unfinished(self.folder)
         if (self.folder / SETTINGS).exists():
             differences = read_settings(self.folder).differences(self.settings)
             if differences:
@@ -242,7 +240,7 @@ class Store:
                     "another --out"
                 )
             self.done = {number for part in read_parts(self.folder, ["number"]) for number in part["number"]}
-        write_text(self.folder / SETTINGS, self.settings.to_json())
+        files.write_text(self.folder / SETTINGS, self.settings.to_json())
 
 
 def read_settings(folder: Path) -> CampaignSettings:
@@ -253,7 +251,7 @@ def read_settings(folder: Path) -> CampaignSettings:
     """
     path = folder / SETTINGS
     try:
-        settings = CampaignSettings.from_json(read_text(path))
+        settings = CampaignSettings.from_json(files.read_text(path))
         scene_of(settings.to_json())  # checks the scene, which every reader needs
         return settings
     except FileNotFoundError as error:
@@ -293,7 +291,7 @@ def read_parts(folder: Path, names: Sequence[str]) -> Iterator[dict[str, list[An
     """
     for path in sorted(folder.glob("part-*.parquet")):
         try:
-            with open_file(path, _LARGEST_PART) as stream:
+            with files.open_file(path, _LARGEST_PART) as stream:
                 yield _read_part(stream, list(names))
         except CampaignRefused as error:
             raise CampaignRefused(f"{path} {error}") from error

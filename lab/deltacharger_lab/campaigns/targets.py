@@ -1,15 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Dockings that charge a target to its end, judged by the simulated battery: kinds of ports, foreign packs, gaps."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from deltacharger_docking.observation import DockGoal, DockingOutcome, ElectrodePose
-from deltacharger_docking.parameters import TargetProfile
+from deltacharger_docking import observation, parameters
 from deltacharger_sim.circuit import TARGET_KINDS
 from deltacharger_sim.emulators.power import PortParameters, StageParameters
 from deltacharger_sim.parameters import LITHIUM_7S, WorldParameters
@@ -116,18 +113,18 @@ class TargetCase:
     def __init__(self, name: str, row: TargetRow, source: random.Random, stop_after: float = 0.0) -> None:
         self.name, self.row, self._stop_after = name, row, stop_after
         self.drawn: DrawnTarget = draw_target(row, source)
-        self.profile = TargetProfile(**self.drawn.profile)
+        self.profile = parameters.TargetProfile(**self.drawn.profile)
 
     def world(self, world: WorldParameters) -> WorldParameters:
         """Return a world with this target, stage and battery."""
         circuit = replace(world.circuit, **self.drawn.circuit)
         return replace(world, port=self.drawn.port, stage=self.drawn.stage, circuit=circuit)
 
-    def goal(self, electrodes: ElectrodePose) -> DockGoal:
+    def goal(self, electrodes: observation.ElectrodePose) -> observation.DockGoal:
         """Return a goal that lasts until charging ends."""
-        return DockGoal(electrodes, hold=True, stop_after=self._stop_after)
+        return observation.DockGoal(electrodes, hold=True, stop_after=self._stop_after)
 
-    def judged(self, charger: VirtualCharger, outcome: DockingOutcome) -> dict[str, Any]:
+    def judged(self, charger: VirtualCharger, outcome: observation.DockingOutcome) -> dict[str, Any]:
         """Return the columns about a docking that has ended."""
         record, battery = charger.world.record, charger.world.circuit.port.voltage
         heat = HEAT_MOST + self.profile.current**2 * self.drawn.port.film  # dirt before the ramp does not show
@@ -152,7 +149,7 @@ class TargetCase:
             "right": right,
         }
 
-    def _ending(self, outcome: DockingOutcome, battery: float, was_live: bool) -> str:
+    def _ending(self, outcome: observation.DockingOutcome, battery: float, was_live: bool) -> str:
         if outcome.success and outcome.charge_end.startswith(FULL):
             is_full = abs(battery - self.drawn.full) <= _SHARE * self.drawn.full
             return FULL if is_full else f"told full at {battery:.2f} V"

@@ -22,15 +22,13 @@ from deltacharger_docking.observation import (
     Request,
     Service,
 )
+from deltacharger_lab.campaigns import hostile, judge
 from deltacharger_lab.campaigns.faults import Acting, HostileFault, Reading, ServoOrder
-from deltacharger_lab.campaigns.hostile import GOAL, SCENES, SUSPENDED, TIMED, allowed, draw_faults
-from deltacharger_lab.campaigns.judge import BY_HAND, GRACE, GRACE_STALLED, WorldJudge, broken
 from deltacharger_sim.circuit import Circuit
 from deltacharger_sim.emulators.power import Outputs
 from deltacharger_sim.pads import Lean, PadSource, Pose
 from deltacharger_sim.parameters import WorldParameters
-from deltacharger_sim.virtual.quick_charger import QuickCharger, QuickPlanner
-from deltacharger_sim.virtual.virtual_charger import TICK, Pending, VirtualCharger
+from deltacharger_sim.virtual import quick_charger, virtual_charger
 from deltacharger_sim.world import World
 
 _FINEST = 0.005  # s of the world's steps while the target moves
@@ -187,7 +185,7 @@ class FaultyPads:
         return left, right
 
 
-class _Suffers(VirtualCharger):
+class _Suffers(virtual_charger.VirtualCharger):
     """What exact and quick chargers have in common under faults.
 
     Args:
@@ -230,7 +228,7 @@ class _Suffers(VirtualCharger):
         late = sum(a.fault.late(a, request.service) for a in self._trial.active("late"))  # type: ignore[misc]
         self._pending[-1].due += late
 
-    def _reply(self, pending: Pending) -> Reply:
+    def _reply(self, pending: virtual_charger.Pending) -> Reply:
         make: Callable[[], Reply | None] = lambda: super(_Suffers, self)._reply(pending)  # noqa: E731
         for acting in self._trial.active("reply"):
             make = _through(acting, pending.request, make)
@@ -254,7 +252,7 @@ class ExactHostile(_Suffers):
     """A charger under faults that computes everything as the nodes do."""
 
 
-class QuickHostile(_Suffers, QuickCharger):
+class QuickHostile(_Suffers, quick_charger.QuickCharger):
     """A quick charger under faults: while one lasts it is stepped every 10 ms.
 
     Where data or docking come late, lines are sent piece by piece, as by the node.
@@ -262,24 +260,25 @@ class QuickHostile(_Suffers, QuickCharger):
 
     def _make_machine(self) -> DockingMachine:
         if not self._trial.nodelike:
-            return QuickCharger._make_machine(self)
-        planner = QuickPlanner(self.parameters, self.geometry)
+            return quick_charger.QuickCharger._make_machine(self)
+        planner = quick_charger.QuickPlanner(self.parameters, self.geometry)
         return DockingMachine(self.parameters, self.geometry, planner, profiles=self.profiles)
 
     def _stride(self, most: int) -> int:
         if self._trial.nodelike or self._trial.lasts():
             return 1
-        left = (self._trial.next_onset() - self.now) / TICK
+        left = (self._trial.next_onset() - self.now) / virtual_charger.TICK
         return min(
-            QuickCharger._stride(self, most), math.ceil(left) if 1.0 < left < most else 1 if left <= 1.0 else most
+            quick_charger.QuickCharger._stride(self, most),
+            math.ceil(left) if 1.0 < left < most else 1 if left <= 1.0 else most,
         )
 
     def _stands(self) -> bool:
-        return not self._trial.lasts() and QuickCharger._stands(self)
+        return not self._trial.lasts() and quick_charger.QuickCharger._stands(self)
 
     def _feels(self) -> bool:
         if not any(self._trial.active("frame")):
-            return QuickCharger._feels(self)
+            return quick_charger.QuickCharger._feels(self)
         self._felt = self._read_at = None
         if not self._tared:
             return False
@@ -305,8 +304,8 @@ class Trial:
 
     def __init__(self, scene: str, seed: int, faults: list[Acting] | None = None) -> None:
         self.scene = scene
-        self.faults = draw_faults(seed) if faults is None else faults
-        self.judge = WorldJudge()
+        self.faults = hostile.draw_faults(seed) if faults is None else faults
+        self.judge = judge.WorldJudge()
         self.charger: _Suffers | None = None
         self.again = False
         self.goals = self.outcomes = 0
@@ -348,7 +347,7 @@ class Trial:
         self.goals += 1
         if self.goals == 1:
             for acting in self.faults:
-                if acting.onset in (GOAL, TIMED):
+                if acting.onset in (hostile.GOAL, hostile.TIMED):
                     acting.begin(acting.delay)
 
     def see(self, state: State) -> None:
@@ -369,7 +368,7 @@ class Trial:
             acting.on = on = acting.active
             if on and not before:
                 acting.memory.clear()
-                grace = GRACE_STALLED if acting.fault.name == SUSPENDED else GRACE
+                grace = judge.GRACE_STALLED if acting.fault.name == hostile.SUSPENDED else judge.GRACE
                 if not any(begin == acting.since for begin, _ in self.judge.excuses):
                     self.judge.excuses.append((acting.since, acting.since + grace))
             if acting.fault.world is not None and (on or before):
@@ -395,7 +394,7 @@ class Trial:
     def remove(self) -> None:
         """End all faults; targets come back."""
         self._removed = True
-        self.judge.excuses += [(acting.now, acting.now + GRACE) for acting in self.faults]
+        self.judge.excuses += [(acting.now, acting.now + judge.GRACE) for acting in self.faults]
         for acting in self.faults:
             if acting.now < acting.since:
                 acting.since = math.inf
@@ -415,7 +414,7 @@ class Trial:
         charger.until(lambda: not machine.busy and machine.status.state is State.IDLE, _HOME)
         self.remove()
         charger.run(_RECOVERY)
-        if set(codes) & set(BY_HAND):
+        if set(codes) & set(judge.BY_HAND):
             return {}
         began = charger.now
         try:
@@ -434,13 +433,13 @@ class Trial:
             "faults": " ".join(a.fault.name for a in self.faults),
             "drawn_faults": "; ".join(a.text for a in self.faults),
             "acted": " ".join(a.fault.name for a in acted),
-            "allowed": " ".join(sorted(allowed(self.scene, acted))),
+            "allowed": " ".join(sorted(hostile.allowed(self.scene, acted))),
             "last_state": self.charger.machine.status.state.name if self.charger is not None else "",
             "goals": self.goals,
             "outcomes": self.outcomes,
             **self.judge.found,
         }
-        found["broken"] = " ".join(broken({**row, **found}, SCENES[self.scene].split()))
+        found["broken"] = " ".join(judge.broken({**row, **found}, hostile.SCENES[self.scene].split()))
         return found
 
 

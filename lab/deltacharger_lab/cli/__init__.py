@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The commands that the laboratory adds to `deltacharger`, by the entry point `deltacharger.commands`."""
 
-from __future__ import annotations
-
 COMMANDS = {
     "campaign": ("deltacharger_lab.cli.campaign.campaign", "simulate many dockings, or compare two such campaigns"),
     "report": ("deltacharger_lab.cli.report.report", "measure a part and write a page"),

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`deltacharger campaign`: many simulated dockings, and the comparison of two campaigns."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import signal
@@ -11,23 +9,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from deltacharger_bringup.cli.arguments import SEED, integer
-from deltacharger_bringup.cli.output import (
-    FAILED,
-    INTERRUPTED,
-    WRONG_INPUT,
-    CommandError,
-    Interrupts,
-    Result,
-    Tenths,
-    WrongInput,
-    from_os_error,
-    log_line,
-    wrong_input,
-)
+from deltacharger_bringup.cli import arguments, output
 from deltacharger_bringup.scenes.scene import SceneError
-from deltacharger_lab.campaigns.compare import compare_campaigns, describe
-from deltacharger_lab.campaigns.runner import run_missing
+from deltacharger_lab.campaigns import compare, runner
 from deltacharger_lab.campaigns.scene import load_campaign_scene
 from deltacharger_lab.campaigns.store import (
     CampaignError,
@@ -49,42 +33,46 @@ _DEFAULT_SCENES = "default"
 def add_campaign(parser: argparse.ArgumentParser) -> None:
     """Add the options of `campaign`."""
     number = "dockings (default: 100, or all that the campaign lists)"
-    parser.add_argument("-n", type=integer(1, 10_000_000), metavar="N", help=number)
-    parser.add_argument("--seed", type=SEED, default=1, metavar="S", help="random seed (1)")
+    parser.add_argument("-n", type=arguments.integer(1, 10_000_000), metavar="N", help=number)
+    parser.add_argument("--seed", type=arguments.SEED, default=1, metavar="S", help="random seed (1)")
     scenes = f"packaged campaign or YAML file with the distributions (default: {_DEFAULT_SCENES})"
     parser.add_argument("--scenes", default=_DEFAULT_SCENES, metavar="NAME|FILE", help=scenes)
     parser.add_argument("--exact", action="store_true", help="compute every tick and frame, as the nodes do; slower")
-    parser.add_argument("--workers", type=integer(1, 1024), metavar="K", help="processes on this computer (1)")
+    parser.add_argument(
+        "--workers", type=arguments.integer(1, 1024), metavar="K", help="processes on this computer (1)"
+    )
     parser.add_argument("--out", metavar="DIR", help="folder of Parquet files, created if missing")
     text = "instead compare two campaigns of one seed, docking by docking"
     parser.add_argument("--compare", nargs=2, metavar=("A", "B"), help=text)
 
 
-def campaign(options: argparse.Namespace) -> Result:
+def campaign(options: argparse.Namespace) -> output.Result:
     """Run the missing dockings of a campaign and return how its dockings ended, or compare two."""
     if options.compare is not None:
         return _compare(options)
     folder, settings = _folder(options), _settings(options)
     with campaign_errors():
-        with Interrupts() as interrupts, Store(folder, settings) as store:
+        with output.Interrupts() as interrupts, Store(folder, settings) as store:
             progress = CampaignProgress(settings.n, len(store.done))
-            run_missing(store, options.workers or 1, progress, interrupts.event.is_set, log_line)
+            runner.run_missing(store, options.workers or 1, progress, interrupts.event.is_set, output.log_line)
             complete = not store.missing()
         judged = ("broken",) if scene_of(settings.to_json())[1].hostile else ()
         results = read_results(folder, (*COLUMNS, *judged))
     summary = {**summarise(results), "complete": complete, "out": str(folder), "seed": settings.seed, "simulated": True}
     text = _described(summary, settings)
     if complete:
-        return Result(text, summary)
+        return output.Result(text, summary)
     rest = f"{folder}: {len(results['number'])} of {settings.n} dockings are written; repeat the command to resume"
-    return Result(text, summary, INTERRUPTED if interrupts.number == signal.SIGINT else FAILED, [rest])
+    return output.Result(
+        text, summary, output.INTERRUPTED if interrupts.number == signal.SIGINT else output.FAILED, [rest]
+    )
 
 
-def _compare(options: argparse.Namespace) -> Result:
+def _compare(options: argparse.Namespace) -> output.Result:
     """Compare two campaigns docking by docking, and draw the differences."""
     with campaign_errors():
-        found = compare_campaigns(*map(Path, options.compare))
-    return Result(describe(found), found)
+        found = compare.compare_campaigns(*map(Path, options.compare))
+    return output.Result(compare.describe(found), found)
 
 
 @contextlib.contextmanager
@@ -93,7 +81,9 @@ def campaign_errors() -> Iterator[None]:
     try:
         yield
     except CampaignError as error:
-        raise CommandError(str(error), WRONG_INPUT if isinstance(error, CampaignRefused) else FAILED) from error
+        raise output.CommandError(
+            str(error), output.WRONG_INPUT if isinstance(error, CampaignRefused) else output.FAILED
+        ) from error
 
 
 class CampaignProgress:
@@ -110,9 +100,9 @@ class CampaignProgress:
         self._done = begun
         self._charged = 0
         self._started = time.monotonic()
-        self._tell = Tenths(begun / total)
+        self._tell = output.Tenths(begun / total)
         if begun:
-            log_line(f"{begun} of {total} dockings exist already")
+            output.log_line(f"{begun} of {total} dockings exist already")
 
     def __call__(self, rows: Sequence[dict[str, Any]]) -> None:
         """Count written rows."""
@@ -127,21 +117,23 @@ class CampaignProgress:
 
 def _folder(options: argparse.Namespace) -> Path:
     if not options.out:
-        raise WrongInput("--out DIR is missing: give the folder for the results")
+        raise output.WrongInput("--out DIR is missing: give the folder for the results")
     folder = Path(options.out)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise from_os_error(error, f"--out {folder}: {folder.parent} cannot be created: ") from error
+        raise output.from_os_error(error, f"--out {folder}: {folder.parent} cannot be created: ") from error
     return folder
 
 
 def _settings(options: argparse.Namespace) -> CampaignSettings:
-    with wrong_input(SceneError):
+    with output.wrong_input(SceneError):
         scene = load_campaign_scene(options.scenes)
     count = options.n or len(scene.dockings) or _DEFAULT_COUNT
     if scene.dockings and count > len(scene.dockings):
-        raise WrongInput(f"-n {count}: {scene.file} lists {len(scene.dockings)} dockings; give at most that number")
+        raise output.WrongInput(
+            f"-n {count}: {scene.file} lists {len(scene.dockings)} dockings; give at most that number"
+        )
     return CampaignSettings(count, options.seed, options.exact, scene.content, scene.name, versions())
 
 

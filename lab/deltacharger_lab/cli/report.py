@@ -1,25 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """`deltacharger report`: measure a part, write a page with tables and pictures, print which targets are met."""
 
-from __future__ import annotations
-
 import argparse
 import signal
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from deltacharger_bringup.cli.arguments import SEED, folder_to_write, integer
-from deltacharger_bringup.cli.output import (
-    FAILED,
-    INTERRUPTED,
-    CommandError,
-    Interrupts,
-    Result,
-    WrongInput,
-    log_line,
-    wrong_input,
-)
+from deltacharger_bringup.cli import arguments, output
 
 _OF = {
     "kinematics": ("error against run time of inverse and forward kinematics", "seed"),
@@ -44,22 +32,29 @@ def add_report(parser: argparse.ArgumentParser) -> None:
         subjects = ", ".join(subject for subject, (_, options) in _OF.items() if name in options.split())
         parser.add_argument(flag, help=f"{subjects}: {text}", **more)
 
-    own("--seed", "random seed (default: the report's)", type=SEED, metavar="S")
-    own("--images", "images per row (150, with --quick 15)", type=integer(2, 1000), metavar="N")
-    own("-n", "dockings of each campaign (as planned, 160 to 20000)", type=integer(1, 10_000_000), metavar="N")
+    own("--seed", "random seed (default: the report's)", type=arguments.SEED, metavar="S")
+    own("--images", "images per row (150, with --quick 15)", type=arguments.integer(2, 1000), metavar="N")
+    own(
+        "-n", "dockings of each campaign (as planned, 160 to 20000)", type=arguments.integer(1, 10_000_000), metavar="N"
+    )
     own("--only", "run only this campaign; may be repeated", action="append", metavar="NAME")
-    own("--workers", "processes on this computer (1)", type=integer(1, 1024), metavar="K")
+    own("--workers", "processes on this computer (1)", type=arguments.integer(1, 1024), metavar="K")
     own("--scene", "measure this scene; may be repeated (every packaged one)", action="append", metavar="NAME|FILE")
-    own("--repeats", "runs of each scene and way of starting (3, with --quick 1)", type=integer(1, 100), metavar="N")
+    own(
+        "--repeats",
+        "runs of each scene and way of starting (3, with --quick 1)",
+        type=arguments.integer(1, 100),
+        metavar="N",
+    )
 
 
-def report(options: argparse.Namespace) -> Result:
+def report(options: argparse.Namespace) -> output.Result:
     """Measure the subject and write its page."""
     own = _OF[options.subject][1].split()
     for name in sorted({name for _, names in _OF.values() for name in names.split()} - set(own)):
         if getattr(options, name) is not None:
             flag = f"-{name}" if len(name) == 1 else f"--{name}"
-            raise WrongInput(f"{flag} is not an option of report {options.subject}")
+            raise output.WrongInput(f"{flag} is not an option of report {options.subject}")
     options.out = options.out or f"report-{options.subject}"
     if options.seed is None:
         options.seed = {"kinematics": 1, "tactile": 1, "vision": 0}.get(options.subject)
@@ -74,84 +69,82 @@ def report(options: argparse.Namespace) -> Result:
     return write[options.subject](options)
 
 
-def _kinematics(options: argparse.Namespace) -> Result:
+def _kinematics(options: argparse.Namespace) -> output.Result:
     """Write the report of the kinematics into a folder."""
     from deltacharger_lab.reports.kinematics import report
 
-    directory = folder_to_write("--out", options.out)
+    directory = arguments.folder_to_write("--out", options.out)
     plan = report.make_plan(options.seed, options.quick)
-    results = report.build(plan, directory, f"{_command(options)} --seed {options.seed}", log_line)
+    results = report.build(plan, directory, f"{_command(options)} --seed {options.seed}", output.log_line)
     _print_absent(results["absent"])
     return _end(options, results, directory, ("seed", "points"))
 
 
-def _tactile(options: argparse.Namespace) -> Result:
+def _tactile(options: argparse.Namespace) -> output.Result:
     """Write the comparison of the classifiers of misalignment, on simulated data, into a folder."""
-    from deltacharger_lab.reports.tactile import plan as tactile_plan
-    from deltacharger_lab.reports.tactile import report
+    from deltacharger_lab.reports.tactile import plan as tactile_plan, report
 
     plan = (tactile_plan.quick_plan if options.quick else tactile_plan.full_plan)(options.seed)
     _print_absent(tactile_plan.absent())
     if not plan.names:
-        raise CommandError("no library for training is installed; install deltacharger-lab[train]")
-    directory = folder_to_write("--out", options.out)
-    results = report.build(plan, directory, f"{_command(options)} --seed {options.seed}", log_line)
+        raise output.CommandError("no library for training is installed; install deltacharger-lab[train]")
+    directory = arguments.folder_to_write("--out", options.out)
+    results = report.build(plan, directory, f"{_command(options)} --seed {options.seed}", output.log_line)
     return _end(options, results, directory, ("simulated", "rigs", "seeds"), "simulated data:")
 
 
-def _vision(options: argparse.Namespace) -> Result:
+def _vision(options: argparse.Namespace) -> output.Result:
     """Write the report of the electrode detector on simulated images into a folder."""
     from deltacharger_lab.reports.vision import report
 
     plan = report.plan(options.images, options.seed, options.quick)
     _print_absent(plan.absent)
     if "opencv" in plan.absent:
-        raise CommandError(f"OpenCV is absent: {plan.absent['opencv']}")
-    directory = folder_to_write("--out", options.out)
+        raise output.CommandError(f"OpenCV is absent: {plan.absent['opencv']}")
+    directory = arguments.folder_to_write("--out", options.out)
     command = f"{_command(options)} --images {plan.images} --seed {plan.seed}"
-    results = report.build(plan, directory, command, log_line)
+    results = report.build(plan, directory, command, output.log_line)
     return _end(options, results, directory, ("simulated", "seed", "images"), "simulated images:")
 
 
-def _simulation(options: argparse.Namespace) -> Result:
+def _simulation(options: argparse.Namespace) -> output.Result:
     """Write the report of the simulated charger's mechanics into a folder."""
     from deltacharger_lab.reports.simulation import report, scenes
 
     plan = scenes.QUICK if options.quick else scenes.SimulationPlan()
     _print_absent(scenes.absent())
-    directory = folder_to_write("--out", options.out)
-    results = report.build(plan, directory, _command(options), log_line)
+    directory = arguments.folder_to_write("--out", options.out)
+    results = report.build(plan, directory, _command(options), output.log_line)
     return _end(options, results, directory, ("models", "quick"))
 
 
-def _docking(options: argparse.Namespace) -> Result:
+def _docking(options: argparse.Namespace) -> output.Result:
     """Run or resume the campaigns of the docking report, and write it."""
     from deltacharger_lab.cli.campaign import CampaignProgress, campaign_errors
-    from deltacharger_lab.reports.docking import plan as docking_plan
-    from deltacharger_lab.reports.docking import report as docking_report
+    from deltacharger_lab.reports.docking import plan as docking_plan, report as docking_report
 
-    with wrong_input(ValueError, before="--only: "):
+    with output.wrong_input(ValueError, before="--only: "):
         plan = docking_plan.make_plan(options.quick, options.only or [], options.n, options.seed)
-    directory = folder_to_write("--out", options.out)
+    directory = arguments.folder_to_write("--out", options.out)
     command = f"{_command(options)} --seed {plan.seed}"
 
     def progress(part: docking_plan.CampaignPart, total: int, begun: int) -> CampaignProgress:
-        log_line(f"{part.name}: {part.about}")
+        output.log_line(f"{part.name}: {part.about}")
         return CampaignProgress(total, begun)
 
     with campaign_errors():
-        with Interrupts() as interrupts:
+        with output.Interrupts() as interrupts:
             stop, workers = interrupts.event.is_set, options.workers or 1
-            complete = docking_report.run(plan, directory, workers, progress, stop, log_line)
+            complete = docking_report.run(plan, directory, workers, progress, stop, output.log_line)
         if not complete:
-            code = INTERRUPTED if interrupts.number == signal.SIGINT else FAILED
-            raise CommandError(f"{directory}: interrupted; repeat the command to resume", code)
-        results = docking_report.build(plan, directory, command, log_line)
+            code = output.INTERRUPTED if interrupts.number == signal.SIGINT else output.FAILED
+            raise output.CommandError(f"{directory}: interrupted; repeat the command to resume", code)
+        results = docking_report.build(plan, directory, command, output.log_line)
     more = ("simulated", "seed", "quick", "not_run")
     return _end(options, results, directory, more, "simulated dockings:")
 
 
-def _footprint(options: argparse.Namespace) -> Result:
+def _footprint(options: argparse.Namespace) -> output.Result:
     """Write the report of the resources that each scene needs into a folder."""
     from deltacharger_bringup.cli.charger import require_domain, ros_context
     from deltacharger_bringup.scenes.scene import SceneError
@@ -161,14 +154,16 @@ def _footprint(options: argparse.Namespace) -> Result:
     scenes = options.scene or []
     unsupported = footprint.unsupported()
     if unsupported:
-        raise CommandError(unsupported)
-    with wrong_input(SceneError, before="--scene: "):
+        raise output.CommandError(unsupported)
+    with output.wrong_input(SceneError, before="--scene: "):
         plan = footprint.make_plan(scenes, options.quick, options.repeats)
     for name, reason in plan.left_out.items():
-        log_line(f"{name} is left out: {reason}")
+        output.log_line(f"{name} is left out: {reason}")
     if not plan.scenes:
-        raise CommandError(f"nothing to measure: {'; '.join(f'{name}: {why}' for name, why in plan.left_out.items())}")
-    directory = folder_to_write("--out", options.out)
+        raise output.CommandError(
+            f"nothing to measure: {'; '.join(f'{name}: {why}' for name, why in plan.left_out.items())}"
+        )
+    directory = arguments.folder_to_write("--out", options.out)
     environment.prepare()
     require_domain()
     environment.isolate()
@@ -177,7 +172,7 @@ def _footprint(options: argparse.Namespace) -> Result:
     with ros_context() as context:
         from deltacharger_lab.reports.footprint import report as footprint_report
 
-        results = footprint_report.build(plan, context, directory, command, log_line)
+        results = footprint_report.build(plan, context, directory, command, output.log_line)
     return _end(options, results, directory, ("rows", "left_out", "quick", "repeats"))
 
 
@@ -188,7 +183,7 @@ def _command(options: argparse.Namespace, words: str = "") -> str:
 
 def _print_absent(absent: Mapping[str, str]) -> None:
     for name, reason in absent.items():
-        log_line(f"{name} is absent: {reason}")
+        output.log_line(f"{name} is absent: {reason}")
 
 
 def _end(
@@ -198,7 +193,7 @@ def _end(
     more: tuple[str, ...],
     of_what: str = "",
     also: tuple[str, ...] = (),
-) -> Result:
+) -> output.Result:
     """Return the written files, the main one first, and which targets are met."""
     remarks = [f"no picture {name}: {reason}" for name, reason in results["missing_pictures"].items()]
     files = [path for kind in ("md", "json") if (path := directory / f"{options.subject}.{kind}").exists()]
@@ -211,4 +206,4 @@ def _end(
         lines.append(
             f"{target['name']:<52} {target['wanted']:>9}  {target['measured']:>10.3g} {target['unit']:<8} {verdict}"
         )
-    return Result("\n".join(lines), {"files": written, **{key: results[key] for key in keys}}, remarks=remarks)
+    return output.Result("\n".join(lines), {"files": written, **{key: results[key] for key in keys}}, remarks=remarks)

@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array, Array32, Mask
-from deltacharger_vision.errors import VisionError
-from deltacharger_vision.images import Intrinsics, RgbdImage
+from deltacharger_vision import errors, images
 from deltacharger_vision.rendering.camera import OAK_D, taken
 from deltacharger_vision.rendering.ray_caster import Rays, streaks
 from deltacharger_vision.rendering.scene import (
@@ -48,7 +47,7 @@ _GEOMS = 64
 _INSTALL = "install libegl1, libegl-mesa0 and libgl1-mesa-dri (Debian, Ubuntu) and set MUJOCO_GL=egl"
 
 
-class RendererError(VisionError, RuntimeError):
+class RendererError(errors.VisionError, RuntimeError):
     """A renderer does not work on this machine. Example: MuJoCo without EGL."""
 
 
@@ -98,7 +97,7 @@ class BoxRasteriser:
         RendererError: MuJoCo or off-screen OpenGL is missing, or the image is too large.
     """
 
-    def __init__(self, intrinsics: Intrinsics) -> None:
+    def __init__(self, intrinsics: images.Intrinsics) -> None:
         if intrinsics.distortion:
             raise RendererError("MuJoCo draws no lens distortion; give intrinsics without, or use SimulatedCamera")
         self._mujoco, self._context = _imported()
@@ -289,7 +288,7 @@ class MujocoCamera:
         RendererError: MuJoCo or off-screen OpenGL is missing; the lens distorts; the image is too large.
     """
 
-    def __init__(self, intrinsics: Intrinsics = OAK_D, parameters: CameraParameters | None = None) -> None:
+    def __init__(self, intrinsics: images.Intrinsics = OAK_D, parameters: CameraParameters | None = None) -> None:
         self.intrinsics = intrinsics
         self.parameters = parameters or CameraParameters()
         self._rasteriser = BoxRasteriser(intrinsics)
@@ -311,7 +310,7 @@ class MujocoCamera:
         camera_T_terminal: Array,  # noqa: N803
         random: np.random.Generator,
         color_only: bool = False,
-    ) -> RgbdImage:
+    ) -> images.RgbdImage:
         """Return one image; the same generator state gives the same image on one machine.
 
         Args:

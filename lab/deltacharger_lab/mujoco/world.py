@@ -20,8 +20,6 @@ and of the stop behind it. Angles are not assumed small, the target's force is n
 the face bends the hinges.
 """
 
-from __future__ import annotations
-
 import functools
 import logging
 import math
@@ -30,13 +28,10 @@ from typing import Any
 
 from deltacharger_core.machine import BAR_GAP, BAR_HEIGHT, BAR_LENGTH
 from deltacharger_core.parameters import ParameterError
+from deltacharger_kinematics import passive_joints, scalar
 from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry, Vector
-from deltacharger_kinematics.passive_joints import rod_angles
-from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_sim.motion import Motion
+from deltacharger_sim import motion, touch, world
 from deltacharger_sim.parameters import MagnetParameters, ServoParameters, WorldParameters
-from deltacharger_sim.touch import PAD, PADS_TURN, Bars, level_yaw, tilts
-from deltacharger_sim.world import World
 
 IMPEDANCE = 0.9  # d of contacts and joint stops: share of the solver's motion that a constraint decides
 
@@ -124,7 +119,7 @@ def build(parameters: WorldParameters, geometry: DeltaGeometry, step: float, int
     if integrator not in integrators():
         raise ValueError(f"unknown integrator {integrator!r}: give one of {', '.join(integrators())}")
     model = mujoco.MjModel.from_xml_string(_xml(parameters, geometry, step, integrator))
-    if tilts(parameters):
+    if touch.tilts(parameters):
         set_springs(model, parameters)
     else:
         contact = parameters.contact
@@ -201,7 +196,7 @@ def _platform(parameters: WorldParameters, geometry: DeltaGeometry) -> str:
         for axis, way in zip("xyz", ("1 0 0", "0 1 0", "0 0 1"))  # noqa: B905
     )
     turn = "0 1 0 0"
-    if tilts(parameters):
+    if touch.tilts(parameters):
         turn = " ".join(map(repr, plane_turn(parameters)))
         touching = face(parameters)
     else:
@@ -221,7 +216,7 @@ def _pairs(parameters: WorldParameters) -> str:
     if not parameters.target.present:
         return ""
     rub = max(parameters.contact.friction, 1e-5)  # MuJoCo's minimum
-    if tilts(parameters):
+    if touch.tilts(parameters):
         return pairs(rub)
     how = f'condim="3" friction="{rub!r} {rub!r}" solimp="{IMPEDANCE} {IMPEDANCE} 0.001"'
     return "".join(f'<pair geom1="target" geom2="{name}" {how}/>' for name in ("electrodes", "stop"))
@@ -273,7 +268,7 @@ def hinges(parameters: WorldParameters) -> str:
     if parameters.platform.compliance == 0.0:
         return ""
     how = f'solimp="{IMPEDANCE} {IMPEDANCE} 0.001"'
-    held = [(name, name, 0.0) for name in _HINGES] + [(_PADS, _HINGES[1], level_yaw(parameters))]
+    held = [(name, name, 0.0) for name in _HINGES] + [(_PADS, _HINGES[1], touch.level_yaw(parameters))]
     return "".join(
         f'<joint name="{name}" joint1="{hinge}" polycoef="{rest!r} 0 0 0 0" {how}/>' for name, hinge, rest in held
     )
@@ -315,7 +310,7 @@ def set_springs(model: Any, parameters: WorldParameters) -> None:
         return
     for name, hinge, stiffness in (
         *((hinge, hinge, 1.0 / compliance) for hinge in _HINGES),
-        (_PADS, _HINGES[1], PADS_TURN),
+        (_PADS, _HINGES[1], touch.PADS_TURN),
     ):
         inverse = float(model.dof_invweight0[model.jnt_dofadr[model.joint(hinge).id]])
         model.eq_solref[model.equality(name).id] = spring(stiffness, inverse)
@@ -337,7 +332,7 @@ class MujocoLean:
         self._hinges = [int(model.joint(name).qposadr[0]) for name in names]
         self._pads = int(model.equality(_PADS).id) if names else -1
         self._about_y = int(model.joint(_HINGES[1]).dofadr[0]) if names else -1
-        self._tip, self._yaw = PADS_TURN, level_yaw(parameters)
+        self._tip, self._yaw = touch.PADS_TURN, touch.level_yaw(parameters)
 
     def lie(self, position: tuple[float, float, float], x: float, y: float) -> None:
         """Place the points on the bars' overlap with the target's centre at (x, y) in end_effector, m.
@@ -356,7 +351,7 @@ class MujocoLean:
         if not self._hinges:
             return
         moment = self._tip * (float(data.qpos[self._hinges[1]]) - self._yaw)
-        most = PAD * sum(force for _, force in self._pressed(data))
+        most = touch.PAD * sum(force for _, force in self._pressed(data))
         both = abs(moment) <= most
         data.eq_active[self._pads] = both
         data.qfrc_applied[self._about_y] = 0.0 if both else -math.copysign(most, moment)
@@ -371,7 +366,7 @@ class MujocoLean:
                 pressed = -float(contacts.frame[index].reshape(3, 3)[:, 2] @ data.efc_force[row : row + 3])
                 yield max(contacts.geom[index]) - self._points, pressed
 
-    def read(self, data: Any) -> tuple[float, tuple[float, float], Bars]:
+    def read(self, data: Any) -> tuple[float, tuple[float, float], touch.Bars]:
         """Return force along z (N), tilt about x and y (rad), and forces on the bars."""
         forces, points = {1: 0.0, -1: 0.0}, {1: 0, -1: 0}
         for number, force in self._pressed(data):
@@ -379,7 +374,7 @@ class MujocoLean:
             forces[side] += force
             points[side] += layer == "bar"
         tilt = tuple(float(data.qpos[hinge]) for hinge in self._hinges)
-        bars = Bars(forces[1], forces[-1], points[1] / POINTS, points[-1] / POINTS)
+        bars = touch.Bars(forces[1], forces[-1], points[1] / POINTS, points[-1] / POINTS)
         return forces[1] + forces[-1], (tilt[0], tilt[1]) if tilt else (0.0, 0.0), bars
 
 
@@ -389,7 +384,7 @@ _LOG = logging.getLogger(__name__)
 _DEAD = 1e-12  # N·m, torque range of an unpowered servo; MuJoCo needs a range
 
 
-class MujocoMechanics(Motion):
+class MujocoMechanics(motion.Motion):
     """Motion by MuJoCo; NaN once MuJoCo has diverged.
 
     Args:
@@ -423,17 +418,19 @@ class MujocoMechanics(Motion):
         names = [f"arm{index}" for index in range(LIMB_COUNT)]
         self._arms = [int(self.model.joint(name).qposadr[0]) for name in names]
         self._axes = [int(self.model.joint(axis).qposadr[0]) for axis in "xyz"]
-        self._leaning = MujocoLean(self.model, parameters) if tilts(parameters) and parameters.target.present else None
+        self._leaning = (
+            MujocoLean(self.model, parameters) if touch.tilts(parameters) and parameters.target.present else None
+        )
         self._begin(geometry, start)
         self._read()
 
     def _begin(self, geometry: DeltaGeometry, start: Vector) -> None:
         """Place arms, rods and platform so that the loops are closed."""
-        angles = ScalarDelta(geometry).inverse(*start)
+        angles = scalar.ScalarDelta(geometry).inverse(*start)
         if math.isnan(angles[0]):
             raise ValueError(f"start {start!r} is out of the arm's reach: give a point in its workspace (m)")
         for index, angle in enumerate(angles):
-            pitch, swing = rod_angles(geometry, index, start, angle)
+            pitch, swing = passive_joints.rod_angles(geometry, index, start, angle)
             for name, value in (("arm", angle), ("pitch", pitch), ("swing", swing)):
                 self.data.joint(f"{name}{index}").qpos[0] = value
         for axis, value in zip(self._axes, start, strict=True):
@@ -505,7 +502,7 @@ def mujoco_world(
     geometry: DeltaGeometry | None = None,
     step: float = STEP,
     integrator: str = "",
-) -> World:
+) -> world.World:
     """Return a World moved by MuJoCo in steps of `step` s; arguments as of World and MujocoMechanics.
 
     Raises:
@@ -515,7 +512,7 @@ def mujoco_world(
     """
 
     moved = functools.partial(MujocoMechanics, step=step, integrator=integrator)
-    return World(parameters, tactile, seed, geometry, mechanics=moved)
+    return world.World(parameters, tactile, seed, geometry, mechanics=moved)
 
 
 def pull(magnets: MagnetParameters, gap: float, offset: float) -> float:

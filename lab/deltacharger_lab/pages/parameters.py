@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page docs/parameters.md from the declarations: python -m deltacharger_lab.pages.parameters."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page docs/topics.md from the nodes and the interface files: python -m deltacharger_lab.pages.topics."""
 
-from __future__ import annotations
-
 import contextlib
 import re
 import time

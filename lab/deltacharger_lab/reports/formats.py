@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Formats of figures in reports, and grouping of rows. Unknown (NaN, None) is –."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from typing import Any

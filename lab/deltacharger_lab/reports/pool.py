@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Work in two processes, with a report of the time left; an interruption ends it at once."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

@@ -4,8 +4,6 @@
 Templates omit the line under the head of a table: a block of rows is a table, its first row the head.
 """
 
-from __future__ import annotations
-
 import contextlib
 import datetime
 import importlib

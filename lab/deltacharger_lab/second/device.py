@@ -19,8 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deltacharger_core.arrays import Array, Mask
-from deltacharger_core.machine import COLUMNS, PADS, ROWS
+from deltacharger_core import arrays, machine
 from deltacharger_lab.second.equilibrium import Equilibrium, Ridges
 from deltacharger_lab.second.parameters import SecondParameters, SheetParameters
 from deltacharger_tactile.parameters import SHAPE
@@ -45,34 +44,34 @@ class Sheets:
         dead: (2, 10, 10) taxels that read NaN.
     """
 
-    gain: Array
-    bend: Array
-    hysteresis: Array
-    creep: Array
-    band: Array
-    offset: Array
-    gain_drift: Array
-    offset_drift: Array
-    dead: Mask
+    gain: arrays.Array
+    bend: arrays.Array
+    hysteresis: arrays.Array
+    creep: arrays.Array
+    band: arrays.Array
+    offset: arrays.Array
+    gain_drift: arrays.Array
+    offset_drift: arrays.Array
+    dead: arrays.Mask
 
     @staticmethod
     def draw(parameters: SheetParameters, random: np.random.Generator) -> Sheets:
         """Draw the sheets of one rig."""
         p = parameters
-        rim = np.ones((ROWS, COLUMNS), dtype=bool)
+        rim = np.ones((machine.ROWS, machine.COLUMNS), dtype=bool)
         rim[1:-1, 1:-1] = False
-        dead = np.zeros(PADS * ROWS * COLUMNS, dtype=bool)
+        dead = np.zeros(machine.PADS * machine.ROWS * machine.COLUMNS, dtype=bool)
         dead[random.permutation(dead.size)[: p.dead_taxels]] = True
         usual = 0.5 * p.hysteresis * p.full_scale / _PLAY.sum()
-        unlike = np.maximum(1.0 + p.sheet_spread * random.standard_normal((2, PADS, 1, 1)), 0.0)
+        unlike = np.maximum(1.0 + p.sheet_spread * random.standard_normal((2, machine.PADS, 1, 1)), 0.0)
         return Sheets(
             gain=np.clip(1.0 + p.gain_spread * random.standard_normal(SHAPE), 0.3, 2.0) * (1.0 - p.edge_loss * rim),
-            bend=p.linearity * random.standard_normal((PADS, 1, 1)),
+            bend=p.linearity * random.standard_normal((machine.PADS, 1, 1)),
             hysteresis=np.minimum(usual * unlike[0], 0.3),
             creep=p.creep * unlike[1],
             band=p.dead_band + p.dead_band_spread * np.clip(random.standard_normal(SHAPE), -2.0, 2.0),
             offset=p.fixed_offset * np.clip(random.standard_normal(SHAPE), -3.0, 3.0),
-            gain_drift=p.gain_drift * random.standard_normal((PADS, 1, 1)),
+            gain_drift=p.gain_drift * random.standard_normal((machine.PADS, 1, 1)),
             offset_drift=p.offset_drift * random.standard_normal(SHAPE),
             dead=dead.reshape(SHAPE),
         )
@@ -98,7 +97,9 @@ class SheetSensor:
         self._top = parameters.full_scale + parameters.pedestal
         self._quantum = self._top / (2**parameters.bits - 1)
 
-    def pass_time(self, step: Array | float, force: Array | None = None, repeat: Array | float = 1.0) -> None:
+    def pass_time(
+        self, step: arrays.Array | float, force: arrays.Array | None = None, repeat: arrays.Array | float = 1.0
+    ) -> None:
         """Let time pass under a constant force.
 
         Args:
@@ -115,7 +116,9 @@ class SheetSensor:
             if signal is not None:
                 crept += (1.0 - kept) * self._sheets.creep * signal
 
-    def read(self, force: Array | None, repeat: Array | float = 1.0, count: int = 1, period: float = 0.0) -> Array:
+    def read(
+        self, force: arrays.Array | None, repeat: arrays.Array | float = 1.0, count: int = 1, period: float = 0.0
+    ) -> arrays.Array:
         """Read both pads `count` times under one force: now, then every `period` (s).
 
         Drift is constant, taken at the first reading.
@@ -144,10 +147,10 @@ class SheetSensor:
         codes = np.rint(np.clip(reading, 0.0, self._top) / self._quantum)
         return np.where(sheets.dead, np.nan, codes * self._quantum)
 
-    def _warm(self) -> Array:
+    def _warm(self) -> arrays.Array:
         return np.asarray(-np.expm1(-self._age / self._parameters.drift_time))
 
-    def _load(self, force: Array | None, repeat: Array | float) -> Array | None:
+    def _load(self, force: arrays.Array | None, repeat: arrays.Array | float) -> arrays.Array | None:
         """Return the signal of each taxel (N, 2, 10, 10) N before hysteresis, and move the play operators to it."""
         if force is None:
             self._move(np.zeros(()))
@@ -167,7 +170,7 @@ class SheetSensor:
         self._move(signal)
         return np.asarray(signal)
 
-    def _move(self, signal: Array) -> None:
+    def _move(self, signal: arrays.Array) -> None:
         half = _PLAY.reshape(-1, 1, 1, 1, 1)
         np.clip(self._play, signal - half, signal + half, out=self._play)
 
@@ -187,7 +190,7 @@ class Device:
     sheets: Sheets
     ridges: Ridges
     line: float
-    lean: Array
+    lean: arrays.Array
     magnets: float
 
     @staticmethod
@@ -214,9 +217,9 @@ class Touches:
         repeat: (N, 2) gain of each pad.
     """
 
-    jitter: Array
-    lean: Array
-    repeat: Array
+    jitter: arrays.Array
+    lean: arrays.Array
+    repeat: arrays.Array
 
     @staticmethod
     def draw(parameters: SecondParameters, random: np.random.Generator, count: int = 1) -> Touches:
@@ -226,12 +229,19 @@ class Touches:
         return Touches(
             jitter=spread * random.standard_normal((count, 3)),
             lean=parameters.platform.lean_spread * random.standard_normal((count, 2)),
-            repeat=np.clip(1.0 + parameters.sheet.repeatability * random.standard_normal((count, PADS)), 0.5, 1.5),
+            repeat=np.clip(
+                1.0 + parameters.sheet.repeatability * random.standard_normal((count, machine.PADS)), 0.5, 1.5
+            ),
         )
 
     def press(
-        self, model: Equilibrium, device: Device, pose: Array, force: Array | float, lean: Array | float = 0.0
-    ) -> Array:
+        self,
+        model: Equilibrium,
+        device: Device,
+        pose: arrays.Array,
+        force: arrays.Array | float,
+        lean: arrays.Array | float = 0.0,
+    ) -> arrays.Array:
         """Return the forces on the taxels (N, 2, 10, 10) N at poses (N, 3) in contact.
 
         `lean` (2,) rad about x and y is the lean of the world's platform before any moment acts. It has the signs of

@@ -21,8 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from deltacharger_core.arrays import Array, Mask
-from deltacharger_core.machine import BAR_GAP, BAR_HEIGHT, BAR_LENGTH, COLUMNS, PADS, ROWS
+from deltacharger_core import arrays, machine
 from deltacharger_lab.second.parameters import BarParameters, FoundationParameters, SecondParameters
 from deltacharger_tactile.parameters import PadContactParameters
 
@@ -40,18 +39,21 @@ class Ridges:
         skew: (2,) m, distance of its end at +x behind its end at −x.
     """
 
-    bow: Array
-    skew: Array
+    bow: arrays.Array
+    skew: arrays.Array
 
     @staticmethod
     def draw(parameters: FoundationParameters, random: np.random.Generator) -> Ridges:
         """Draw the ridges of one rig."""
-        return Ridges(parameters.bow * random.standard_normal(PADS), parameters.skew * random.standard_normal(PADS))
+        return Ridges(
+            parameters.bow * random.standard_normal(machine.PADS),
+            parameters.skew * random.standard_normal(machine.PADS),
+        )
 
     @staticmethod
     def straight() -> Ridges:
         """Return ridges without errors."""
-        return Ridges(np.zeros(PADS), np.zeros(PADS))
+        return Ridges(np.zeros(machine.PADS), np.zeros(machine.PADS))
 
 
 class PadFoundation:
@@ -69,7 +71,7 @@ class PadFoundation:
     def __init__(self, dimensions: PadContactParameters, parameters: FoundationParameters) -> None:
         self._dimensions = dimensions
         fine = parameters.sub_samples
-        self._shape = shape = (ROWS * fine, COLUMNS * ((fine + 1) // 2))
+        self._shape = shape = (machine.ROWS * fine, machine.COLUMNS * ((fine + 1) // 2))
         v, u = np.meshgrid(*(dimensions.pad_side * (0.5 - (np.arange(n) + 0.5) / n) for n in shape), indexing="ij")
         centre, points = dimensions.pad_distance, shape[0] * shape[1]
         self.x = np.concatenate([u.ravel() + centre, u.ravel() - centre])
@@ -84,7 +86,7 @@ class PadFoundation:
         lengths = parameters.shear_length / dimensions.pad_side * np.array(shape)
         self._spread = 1.0 / (1.0 + lengths[0] ** 2 * rows[:, None] + lengths[1] ** 2 * columns)
 
-    def gap(self, pose: Array, ridges: Ridges) -> Array:
+    def gap(self, pose: arrays.Array, ridges: Ridges) -> arrays.Array:
         """Return (N, P) m, gaps between the ridges and each point at poses (N, 3); BEYOND without a ridge."""
         d = self._dimensions
         x, y, angle = (pose[:, axis, None] for axis in range(3))
@@ -103,7 +105,7 @@ class PadFoundation:
         gap[missed] = BEYOND
         return np.asarray(gap)
 
-    def press(self, depth: Array) -> tuple[Array, Array, Array]:
+    def press(self, depth: arrays.Array) -> tuple[arrays.Array, arrays.Array, arrays.Array]:
         """Return pressure (Pa), its slope (Pa/m) and the energy (J/m²) of the skin at indentations (m)."""
         pressed = depth > 0.0
         stretch = 1.0 - np.maximum(depth, 0.0) / self._thickness
@@ -117,22 +119,22 @@ class PadFoundation:
         energy += beyond * (first + 0.5 * slope * beyond)
         return first + slope * beyond, slope * pressed, energy
 
-    def deflect(self, pressure: Array) -> Array:
+    def deflect(self, pressure: arrays.Array) -> arrays.Array:
         """Return the deflection (N, P) m of the lower layer under a pressure (N, P) Pa."""
         return np.asarray(self._filter(pressure).reshape(pressure.shape) / self.base)
 
-    def taxels(self, pressure: Array) -> Array:
+    def taxels(self, pressure: arrays.Array) -> arrays.Array:
         """Return the forces on the taxels (N, 2, 10, 10) N by pressure (N, P) Pa; row 0 at +y, column 0 at +x."""
-        down, right = self._shape[0] // ROWS, self._shape[1] // COLUMNS
-        borne = self._filter(pressure).reshape(-1, PADS, ROWS, down, COLUMNS, right)
+        down, right = self._shape[0] // machine.ROWS, self._shape[1] // machine.COLUMNS
+        borne = self._filter(pressure).reshape(-1, machine.PADS, machine.ROWS, down, machine.COLUMNS, right)
         return np.asarray(np.maximum(borne.sum(axis=(3, 5)) * self.area, 0.0))
 
-    def _filter(self, pressure: Array) -> Array:
+    def _filter(self, pressure: arrays.Array) -> arrays.Array:
         grid = pressure.reshape(-1, *self._shape)
         return np.asarray(self._down.T @ ((self._down @ grid @ self._right.T) * self._spread) @ self._right)
 
 
-def _waves(count: int) -> tuple[Array, Array]:
+def _waves(count: int) -> tuple[arrays.Array, arrays.Array]:
     """Return the cosine waves (n, n) of a line of points without flux at its ends, and their squared wave numbers."""
     order = np.arange(count)
     waves = np.sqrt(2.0 / count) * np.cos(np.pi * order[:, None] * (order + 0.5) / count)
@@ -154,24 +156,24 @@ class SpringBars:
 
     def __init__(self, parameters: BarParameters) -> None:
         self._parameters = parameters
-        width = BAR_LENGTH / _SEGMENTS
-        line = 0.5 * BAR_LENGTH - width * (np.arange(_SEGMENTS) + 0.5)
-        middle = 0.5 * (BAR_GAP + BAR_HEIGHT)
+        width = machine.BAR_LENGTH / _SEGMENTS
+        line = 0.5 * machine.BAR_LENGTH - width * (np.arange(_SEGMENTS) + 0.5)
+        middle = 0.5 * (machine.BAR_GAP + machine.BAR_HEIGHT)
         self.x = np.tile(line, 2)
         self.y = np.repeat([middle, -middle], _SEGMENTS)
         self._middle, self._width = middle, width
 
-    def overlap(self, pose: Array) -> Array:
+    def overlap(self, pose: arrays.Array) -> arrays.Array:
         """Return (N, 2 S) the share of each segment, 0 to 1, that overlaps a bar of the target at poses (N, 3)."""
         x, y, angle = (pose[:, axis, None] for axis in range(3))
         cosine, sine = np.cos(angle), np.sin(angle)
         dx, dy = self.x - x, self.y - y
         along, across = cosine * dx + sine * dy, cosine * dy - sine * dx
-        end = np.clip((0.5 * BAR_LENGTH - np.abs(along)) / self._width + 0.5, 0.0, 1.0)
+        end = np.clip((0.5 * machine.BAR_LENGTH - np.abs(along)) / self._width + 0.5, 0.0, 1.0)
         off = np.minimum(np.abs(across - self._middle), np.abs(across + self._middle))
-        return np.asarray(end * np.clip((BAR_HEIGHT - off) / _RAMP, 0.0, 1.0))
+        return np.asarray(end * np.clip((machine.BAR_HEIGHT - off) / _RAMP, 0.0, 1.0))
 
-    def press(self, approach: Array) -> tuple[Array, Array, Array]:
+    def press(self, approach: arrays.Array) -> tuple[arrays.Array, arrays.Array, arrays.Array]:
         """Return force (N), its slope (N/m) and the energy (J) of full segments at approaches (N, 2 S) m.
 
         The bar first leaves its stop (preload), then its springs yield, then it is solid.
@@ -208,21 +210,21 @@ class RestingContact:
         moments: (N, 2) N·m about x and y of the forces on pads and bars.
     """
 
-    taxels: Array
-    bars: Array
-    state: Array
-    moments: Array
+    taxels: arrays.Array
+    bars: arrays.Array
+    state: arrays.Array
+    moments: arrays.Array
 
 
 class _Trial(NamedTuple):
     """Energy (N,), its gradient (N, 3) and curvature (N, 3, 3) by z, α, β; pressure, its slope (N, K), bars' force."""
 
-    energy: Array
-    gradient: Array
-    curvature: Array
-    pressure: Array
-    slope: Array
-    bars: Array
+    energy: arrays.Array
+    gradient: arrays.Array
+    curvature: arrays.Array
+    pressure: arrays.Array
+    slope: arrays.Array
+    bars: arrays.Array
 
 
 class Equilibrium:
@@ -256,7 +258,7 @@ class Equilibrium:
         lines = np.broadcast_to(np.asarray(line, dtype=float), (count, 2))
         leans = np.broadcast_to(np.asarray(lean, dtype=float), (count, 2))
         rest = RestingContact(
-            np.zeros((count, PADS, ROWS, COLUMNS)),
+            np.zeros((count, machine.PADS, machine.ROWS, machine.COLUMNS)),
             np.zeros((count, 2)),
             np.full((count, 3), np.nan),
             np.zeros((count, 2)),
@@ -278,7 +280,7 @@ class _Work:
 
     def __init__(
         self, parameters: SecondParameters, pads: PadFoundation, bars: SpringBars,
-        pose: Array, force: Array, line: Array, lean: Array, ridges: Ridges,
+        pose: arrays.Array, force: arrays.Array, line: arrays.Array, lean: arrays.Array, ridges: Ridges,
     ) -> None:  # fmt: skip
         self._pads, self._bars = pads, bars
         self._hold = 1.0 / parameters.platform.compliance
@@ -289,7 +291,7 @@ class _Work:
         self._at *= pads.area
         highest = np.where(self._overlap.any(axis=1), parameters.bars.proud, -BEYOND)
         self._highest = np.maximum(highest, -self._gap.min(axis=1))
-        self.touching: Mask = self._highest > -0.5 * BEYOND
+        self.touching: arrays.Mask = self._highest > -0.5 * BEYOND
         self._force = np.where(self.touching, force, 0.0)
         self._work = self._force[:, None] * np.column_stack([np.ones(len(pose)), line[:, 1], line[:, 0]])
         self._points = gap.shape[1]
@@ -321,7 +323,7 @@ class _Work:
             state, load, sunk = _chosen(~done, fresh, (state, load, sunk))
         self._write(rest, rows, state, trial)
 
-    def _try(self, state: Array, load: Array, sunk: Array) -> _Trial:
+    def _try(self, state: arrays.Array, load: arrays.Array, sunk: arrays.Array) -> _Trial:
         height = _dot(self._at[:, :, :3], state) / self._pads.area
         pressure, slope, energy = self._pads.press(height - self._gap - sunk)
         force, rate, stored = self._bars.press(state @ self._bars_at[:, :3].T)
@@ -336,13 +338,13 @@ class _Work:
         curvature += self._stiff
         return _Trial(total, gradient, curvature, pressure, slope, force)
 
-    def _is_settled(self, trial: _Trial, load: Array) -> Mask:
+    def _is_settled(self, trial: _Trial, load: arrays.Array) -> arrays.Mask:
         off = np.abs(trial.gradient) / [1.0, _LEVER, _LEVER]
         apart = np.abs(trial.pressure - load).max(axis=1)
         still = apart <= _SETTLED * trial.pressure.max(axis=1)
         return np.asarray((off.max(axis=1) <= _BALANCED * self._force) & still)
 
-    def _step(self, trial: _Trial, load: Array) -> tuple[Array, Array, Array]:
+    def _step(self, trial: _Trial, load: arrays.Array) -> tuple[arrays.Array, arrays.Array, arrays.Array]:
         """Return steps of state, load and deflection; the Newton step of the state anticipates the other two."""
         more = (trial.pressure - load) / (1.0 + _SHARE * trial.slope / self._pads.base)
         deeper = self._pads.deflect(self._grid(more)).ravel()[self._flat]
@@ -351,12 +353,12 @@ class _Work:
         move /= np.maximum(np.abs(move) / _FARTHEST, 1.0).max(axis=1, keepdims=True)
         return move, more, deeper
 
-    def _grid(self, values: Array) -> Array:
+    def _grid(self, values: arrays.Array) -> arrays.Array:
         grid = np.zeros((len(values), self._points))
         grid.ravel()[self._flat] = values
         return grid
 
-    def _write(self, rest: RestingContact, rows: NDArray[np.int64], state: Array, trial: _Trial) -> None:
+    def _write(self, rest: RestingContact, rows: NDArray[np.int64], state: arrays.Array, trial: _Trial) -> None:
         pressure, force = trial.pressure * self.touching[:, None], trial.bars * self.touching[:, None]
         rest.taxels[rows] = self._pads.taxels(self._grid(pressure))
         rest.bars[rows] = force.reshape(len(rows), 2, -1).sum(axis=2)
@@ -365,7 +367,7 @@ class _Work:
         rest.moments[rows] = pressed[:, 1:]
 
 
-def _standing(gap: Array) -> tuple[NDArray[np.int64], Array]:
+def _standing(gap: arrays.Array) -> tuple[NDArray[np.int64], arrays.Array]:
     """Return (N, K) indices of the points under ridges, padded with others, and their gaps."""
     on = gap < 0.5 * BEYOND
     most = max(int(on.sum(axis=1).max()), 1)
@@ -373,23 +375,25 @@ def _standing(gap: Array) -> tuple[NDArray[np.int64], Array]:
     return index, np.take_along_axis(gap, index, axis=1)
 
 
-def _chosen(rows: Mask, fresh: tuple[Array, ...], old: tuple[Array, ...]) -> tuple[Array, Array, Array]:
+def _chosen(
+    rows: arrays.Mask, fresh: tuple[arrays.Array, ...], old: tuple[arrays.Array, ...]
+) -> tuple[arrays.Array, arrays.Array, arrays.Array]:
     if rows.all():
         return fresh  # type: ignore[return-value]
     a, b, c = (np.where(rows[:, None], new, before) for new, before in zip(fresh, old, strict=True))
     return a, b, c
 
 
-def _monomials(y: Array, x: Array) -> Array:
+def _monomials(y: arrays.Array, x: arrays.Array) -> arrays.Array:
     """Return (…, 6): 1, y, x, y², y x, x²."""
     return np.stack([np.ones(y.shape), y, x, y * y, y * x, x * x], axis=-1)
 
 
-def _sums(values: Array, weights: Array) -> Array:
+def _sums(values: arrays.Array, weights: arrays.Array) -> arrays.Array:
     """Return (N, M) sums of values (N, K) with weights (N, K, M)."""
     return np.asarray((values[:, None] @ weights)[:, 0])
 
 
-def _dot(weights: Array, values: Array) -> Array:
+def _dot(weights: arrays.Array, values: arrays.Array) -> arrays.Array:
     """Return (N, K) sums of values (N, M) with weights (N, K, M)."""
     return np.asarray((weights @ values[:, :, None])[:, :, 0])

@@ -6,8 +6,6 @@ Each row is one docking with its own history: a tare within the first minute, a 
 little beyond and back, and read after 0.3 to 3 s.
 """
 
-from __future__ import annotations
-
 import functools
 import json
 from typing import Any
@@ -15,14 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_core.arrays import Array
-from deltacharger_core.machine import FRAME_RATE
+from deltacharger_core import arrays, machine
 from deltacharger_lab.second.device import Device, SheetSensor, Touches
 from deltacharger_lab.second.equilibrium import Equilibrium
 from deltacharger_lab.second.parameters import SecondParameters
 from deltacharger_sim.pads import Lean, PadSource, Pose, approach, contact_force
-from deltacharger_tactile.dataset import VERSION, Dataset
-from deltacharger_tactile.errors import DatasetError
+from deltacharger_tactile import dataset, errors
 
 LONG_AGO, JUST_NOW = 1800.0, 20.0
 """Longest time from tare to contacts, s: in a session of many dockings, and in one docking."""
@@ -32,13 +28,13 @@ _RAMP = ((0.4, 0.3), (1.05, 0.1))  # steps before the contact: share of the forc
 
 
 def dock_anew(
-    known: Dataset,
+    known: dataset.Dataset,
     seed: int = 0,
     frames: int = 1,
     threshold: float = 0.0,
     since_tare: float = LONG_AGO,
     parameters: SecondParameters | None = None,
-) -> Dataset:
+) -> dataset.Dataset:
     """Dock devices of the second physics at the commanded poses of a data set of the first physics.
 
     Args:
@@ -53,7 +49,9 @@ def dock_anew(
         DatasetError: a docking has several rows, or `frames` < 1.
     """
     if frames < 1 or len(np.unique(known.attempt)) != len(known):
-        raise DatasetError("second physics", f"{frames} frames of {len(known)} rows; give 1 or more, a row a docking")
+        raise errors.DatasetError(
+            "second physics", f"{frames} frames of {len(known)} rows; give 1 or more, a row a docking"
+        )
     chosen = parameters or SecondParameters()
     pose = np.column_stack([known.horizontal, known.vertical, known.angle])
     columns: dict[str, list[NDArray[Any]]] = {}
@@ -73,14 +71,17 @@ def dock_anew(
     cut = np.where(dead | (readings < threshold), 0.0, readings).astype(np.float32)
     same = {name: getattr(known, name) for name in ("angle", "vertical", "horizontal", "attempt", "rig", "subset")}
     meta = {
-        "version": VERSION, "protocol": "second physics", "seed": seed, "frames": frames, "threshold": threshold,
+        "version": dataset.VERSION, "protocol": "second physics", "seed": seed, "frames": frames,
+        "threshold": threshold,
         "parameters": json.loads(chosen.to_json()), "digest": chosen.digest(),
     }  # fmt: skip
-    return Dataset(meta=meta, left=cut[:, 0], right=cut[:, 1], dead=dead, session=known.attempt, **same, **found)
+    return dataset.Dataset(
+        meta=meta, left=cut[:, 0], right=cut[:, 1], dead=dead, session=known.attempt, **same, **found
+    )
 
 
 def _measure(
-    model: Equilibrium, device: Device, pose: Array, random: np.random.Generator, frames: int, since_tare: float
+    model: Equilibrium, device: Device, pose: arrays.Array, random: np.random.Generator, frames: int, since_tare: float
 ) -> dict[str, NDArray[Any]]:
     """Dock once at each commanded pose (N, 3); returns columns of a data set, and readings (N, 2, 10, 10) N."""
     count, docking = len(pose), model.parameters.docking
@@ -92,7 +93,7 @@ def _measure(
     taxels = touches.press(model, device, actual, force)
     sensor = SheetSensor(model.parameters.sheet, device.sheets, random, count)
     sensor.pass_time(random.uniform(0.0, 60.0, count))
-    tare = sensor.read(None, 1.0, _TARE_FRAMES, 1.0 / FRAME_RATE).mean(axis=0)
+    tare = sensor.read(None, 1.0, _TARE_FRAMES, 1.0 / machine.FRAME_RATE).mean(axis=0)
     sensor.pass_time(random.uniform(0.0, since_tare, count))
     other = random.permutation(count)
     sensor.pass_time(random.uniform(2.0, 20.0, count), taxels[other], touches.repeat[other])
@@ -100,7 +101,7 @@ def _measure(
     for share, held in _RAMP:
         sensor.pass_time(held, share * taxels, touches.repeat)
     sensor.pass_time(random.uniform(0.3, 3.0, count), taxels, touches.repeat)
-    raw = sensor.read(taxels, touches.repeat, frames, 1.0 / FRAME_RATE)
+    raw = sensor.read(taxels, touches.repeat, frames, 1.0 / machine.FRAME_RATE)
     return {
         "readings": np.maximum(raw - tare, 0.0).mean(axis=0), "tare": np.nan_to_num(tare).astype(np.float32),
         "contact_pose": actual, "current": current, "force": force,
@@ -142,7 +143,7 @@ class SecondSource(PadSource):
 
     def frames(
         self, time: float, pose: Pose | None, force: float, count: int, period: float, lean: Lean | None = None
-    ) -> Array:
+    ) -> arrays.Array:
         """Return frames (count, 2, 10, 10) N raw; arguments as in `PadSource.frames`."""
         pressed = self._press(pose, force, lean)
         repeat = 1.0 if self._contact is None else self._contact.repeat
@@ -159,6 +160,6 @@ class SecondSource(PadSource):
     def _draw(self) -> Touches:
         return Touches.draw(self.parameters, self._random)
 
-    def _solve(self, contact: Touches, pose: Array, force: float, lean: Lean | None) -> Array:
+    def _solve(self, contact: Touches, pose: arrays.Array, force: float, lean: Lean | None) -> arrays.Array:
         free = 0.0 if lean is None else approach(lean.free)
         return contact.press(self._model, self.rig, pose, force, free)

@@ -5,8 +5,6 @@ Dimensions of pads, ridges and bars, magnets, the arm's push and its landing are
 elsewhere. No number here was chosen by an estimator's results.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import json

@@ -19,14 +19,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from deltacharger_core.arrays import Array
 from deltacharger_core.machine import CONTACT_FORCE
-from deltacharger_lab.training import reliability
+from deltacharger_lab.training import reliability, splits
 from deltacharger_lab.training.inputs import NAMES, PRETRAINED, digest, inputs
-from deltacharger_lab.training.reliability import Reliability
-from deltacharger_lab.training.splits import distinct
 from deltacharger_tactile import features
 from deltacharger_tactile.classifiers import runtime
-from deltacharger_tactile.classifiers.classifier import Classifier, readings_of
-from deltacharger_tactile.classifiers.classifier import classes as classes_of
+from deltacharger_tactile.classifiers.classifier import Classifier, classes as classes_of, readings_of
 from deltacharger_tactile.errors import DatasetError, ModelError
 
 Progress = Callable[[float, str], None]
@@ -69,7 +66,7 @@ class TrainableClassifier(Classifier):
     def __init__(self, name: str, target: str, threshold: float = CONTACT_FORCE) -> None:
         super().__init__(name, target, threshold)
         self.fit_time = float("nan")
-        self.reliability: Reliability | None = None
+        self.reliability: reliability.Reliability | None = None
         self._learnt: Learnt | None = None
         self._stored: Arrays = {}  # as in a file, if `shrink` found smaller types
 
@@ -93,7 +90,7 @@ class TrainableClassifier(Classifier):
         count = classes_of(self.target)
         if not np.isin(known, np.arange(count)).all():
             raise ModelError(self.name, f"{self.target} has the classes 0 to {count - 1}")
-        usable = np.bincount(known[distinct(readings_of(frames), self.threshold)], minlength=count)
+        usable = np.bincount(known[splits.distinct(readings_of(frames), self.threshold)], minlength=count)
         if usable.min() < _FEWEST:
             raise DatasetError(
                 self.target,
@@ -120,7 +117,7 @@ class TrainableClassifier(Classifier):
         if "means" not in self._arrays:
             raise ModelError(self.name, "it cannot learn from reference dockings; train lda or pose")
         readings = readings_of(frames)
-        rows = distinct(readings, self.threshold)
+        rows = splits.distinct(readings, self.threshold)
         if len(rows) < 2:
             raise ModelError(
                 self.name, f"{len(rows)} different reference dockings are too few; give at least two, better ten"
@@ -191,7 +188,7 @@ class TrainableClassifier(Classifier):
 
     def _restore(self, about: dict[str, Any], arrays: Arrays) -> None:
         known = about.pop("reliability", None)
-        self.reliability = Reliability.from_dict(known) if known else None
+        self.reliability = reliability.Reliability.from_dict(known) if known else None
         if NAMES[self.name] == "pose" and about.pop(PRETRAINED, "") != digest(self.target, self.threshold):
             raise ModelError(self.name, "it was trained on packaged models of another version; train it again")
         super()._restore(about, arrays)

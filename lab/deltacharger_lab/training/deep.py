@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Training of the paper's two networks with PyTorch, on the CPU: networks this small learn no faster on a GPU."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from typing import Any

@@ -18,29 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from deltacharger_core.arrays import Array, Mask
-from deltacharger_lab.training.reliability import NOMINAL
-from deltacharger_lab.training.splits import distinct
-from deltacharger_tactile import features
-from deltacharger_tactile.errors import ModelError
-from deltacharger_tactile.estimator import (
-    CLIP,
-    EXPERTS,
-    FORMAT,
-    LOG_SPREAD,
-    PARTS,
-    POSE_SCALE,
-    SHOWN,
-    THRESHOLD,
-    Expert,
-    Network,
-    PoseEstimator,
-    Support,
-    Weights,
-    picture_inputs,
-    pose_stddev,
-    to_pose,
-    within,
-)
+from deltacharger_lab.training import reliability, splits
+from deltacharger_tactile import errors, estimator, features
 
 _BATCH = 512
 _FEWEST = _BATCH  # dockings to fit an expert
@@ -58,7 +37,7 @@ _QUANTILE, _MARGIN = 0.999, 1.1
 """Limits of familiar frames: this quantile of held-out ones, times the margin."""
 
 
-class TrainablePoseEstimator(PoseEstimator):
+class TrainablePoseEstimator(estimator.PoseEstimator):
     """A pose estimator that learns.
 
     Args:
@@ -76,7 +55,7 @@ class TrainablePoseEstimator(PoseEstimator):
     def __init__(
         self,
         name: str = "pose",
-        threshold: float = THRESHOLD,
+        threshold: float = estimator.THRESHOLD,
         hidden: Sequence[int] = (64, 48),
         members: int = 2,
         epochs: int = 12,
@@ -110,9 +89,9 @@ class TrainablePoseEstimator(PoseEstimator):
         random = np.random.default_rng([0xF17, seed])
         readings, seats = np.asarray(frames, dtype=float), to_seat(np.asarray(pose, dtype=float))
         inputs, holds, touched = self._prepare(readings)
-        in_range, single = holds & within(seats), touched & ~holds
+        in_range, single = holds & estimator.within(seats), touched & ~holds
         self._require(readings, in_range, single, _FEWEST, "dockings")
-        for index, (name, rows) in enumerate(zip(EXPERTS, (holds, single), strict=True)):
+        for index, (name, rows) in enumerate(zip(estimator.EXPERTS, (holds, single), strict=True)):
             progress(index / 3.0, f"{self.name}: {np.count_nonzero(rows)} dockings in contact with {name} pad(s)")
             self._experts[name] = _learn_expert(
                 inputs[:, rows], seats[rows], self.hidden, self.members, self.epochs, random
@@ -127,22 +106,22 @@ class TrainablePoseEstimator(PoseEstimator):
 
     def _require(self, frames: Array, in_range: Mask, single: Mask, needed: int, what: str) -> None:
         for rows, where in ((in_range, "on both pads, in range"), (single, "on one pad")):
-            found = len(distinct(frames[rows], self.threshold))
+            found = len(splits.distinct(frames[rows], self.threshold))
             if found < needed:
-                raise ModelError(self.name, f"{found} different {what} {where}, at least {needed} are needed")
+                raise errors.ModelError(self.name, f"{found} different {what} {where}, at least {needed} are needed")
 
     def _calibrate(self, frames: Array, seat: Array) -> None:
         inputs, holds, touched = self._prepare(frames)
-        in_range, single = holds & within(seat), touched & ~holds
+        in_range, single = holds & estimator.within(seat), touched & ~holds
         self._require(frames, in_range, single, _FEWEST_HELD_OUT, "held-out dockings")
-        for name, rows in zip(EXPERTS, (holds, single), strict=True):
+        for name, rows in zip(estimator.EXPERTS, (holds, single), strict=True):
             self._experts[name] = _scaled(self._experts[name], inputs[:, rows], seat[rows])
         usual = inputs[:, in_range]
         mean, spread = self._experts["both"].predict(usual)
         self._support = _limited(self._learnt, usual[0], mean)
-        error = to_pose(mean) - to_pose(seat[in_range])
-        ratio = np.sort(np.abs(error) / pose_stddev(mean, spread), axis=0)
-        self.interval = ratio[min(math.ceil((len(ratio) + 1) * NOMINAL), len(ratio)) - 1]
+        error = estimator.to_pose(mean) - estimator.to_pose(seat[in_range])
+        ratio = np.sort(np.abs(error) / estimator.pose_stddev(mean, spread), axis=0)
+        self.interval = ratio[min(math.ceil((len(ratio) + 1) * reliability.NOMINAL), len(ratio)) - 1]
 
     def save(self, path: str | Path) -> None:
         """Write one npz file that loads without pickle."""
@@ -154,11 +133,11 @@ class TrainablePoseEstimator(PoseEstimator):
             "support_shown_spread": support.shown_spread,
         } | _arrays("picture", support.picture)
         for name, expert in self._experts.items():
-            arrays |= {f"{name}_{part}": getattr(expert, part) for part in PARTS}
+            arrays |= {f"{name}_{part}": getattr(expert, part) for part in estimator.PARTS}
             for member, network in enumerate(expert.networks):
                 arrays |= _arrays(f"{name}_{member}", network)
         header = {
-            "format": FORMAT,
+            "format": estimator.FORMAT,
             "name": self.name,
             "threshold": self.threshold,
             "hidden": self.hidden,
@@ -179,7 +158,7 @@ class TrainablePoseEstimator(PoseEstimator):
 
 def _learn_expert(
     inputs: Array, pose: Array, hidden: Sequence[int], members: int, epochs: int, random: np.random.Generator
-) -> Expert:
+) -> estimator.Expert:
     """Learn an expert from mirrored inputs (4, N, F) and poses (N, 3) in m, m, rad.
 
     Args:
@@ -190,15 +169,15 @@ def _learn_expert(
         epochs: passes over the data.
         random: initial weights and order of the rows.
     """
-    signed = (pose / POSE_SCALE)[None] * features.MIRROR_SIGNS[:, None]
+    signed = (pose / estimator.POSE_SCALE)[None] * features.MIRROR_SIGNS[:, None]
     flat, targets = inputs.reshape(-1, inputs.shape[-1]), signed.reshape(-1, 3).astype(np.float32)
     centre, spread = flat.mean(axis=0), flat.std(axis=0) + 1e-3
-    scaled = np.clip((flat - centre) / spread, -CLIP, CLIP).astype(np.float32)
+    scaled = np.clip((flat - centre) / spread, -estimator.CLIP, estimator.CLIP).astype(np.float32)
     networks = tuple(_fit(scaled, targets, hidden, epochs, random) for _ in range(members))
-    return Expert(centre.astype(np.float32), spread.astype(np.float32), networks, np.ones(3))
+    return estimator.Expert(centre.astype(np.float32), spread.astype(np.float32), networks, np.ones(3))
 
 
-def _scaled(expert: Expert, inputs: Array, pose: Array) -> Expert:
+def _scaled(expert: estimator.Expert, inputs: Array, pose: Array) -> estimator.Expert:
     """Return an expert whose standard deviations hold on these rows, which `_learn_expert` did not see."""
     mean, spread = expert.predict(inputs)
     ratio = np.abs(mean - pose) / spread
@@ -207,20 +186,20 @@ def _scaled(expert: Expert, inputs: Array, pose: Array) -> Expert:
     return replace(expert, factor=np.maximum(factor, _SMALLEST_FACTOR))
 
 
-def _learn_support(inputs: Array, pose: Array, epochs: int, random: np.random.Generator) -> Support:
+def _learn_support(inputs: Array, pose: Array, epochs: int, random: np.random.Generator) -> estimator.Support:
     """Learn from features (N, F) and the poses (N, 3) estimated from them."""
     centre, spread = inputs.mean(axis=0), inputs.std(axis=0) + 1e-2
     scaled = (inputs - centre) / spread
     values, vectors = np.linalg.eigh(scaled.T @ scaled / len(scaled) + _RIDGE * np.eye(scaled.shape[1]))
-    shown = inputs[:, SHOWN]
+    shown = inputs[:, estimator.SHOWN]
     shown_centre, shown_spread = shown.mean(axis=0), shown.std(axis=0)
     targets = ((shown - shown_centre) / shown_spread).astype(np.float32)
-    picture = _fit(picture_inputs(inputs, pose), targets, _PICTURE, epochs, random)
+    picture = _fit(estimator.picture_inputs(inputs, pose), targets, _PICTURE, epochs, random)
     whitening = (vectors / np.sqrt(values)) / spread[:, None]
-    return Support(centre, whitening, shown_centre, shown_spread, picture)
+    return estimator.Support(centre, whitening, shown_centre, shown_spread, picture)
 
 
-def _limited(support: Support, inputs: Array, pose: Array) -> Support:
+def _limited(support: estimator.Support, inputs: Array, pose: Array) -> estimator.Support:
     """Return a copy with limits from these held-out rows, features (N, F) and poses (N, 3)."""
     return replace(
         support,
@@ -229,7 +208,13 @@ def _limited(support: Support, inputs: Array, pose: Array) -> Support:
     )
 
 
-def _fit(inputs: Weights, targets: Weights, hidden: Sequence[int], epochs: int, random: np.random.Generator) -> Network:
+def _fit(
+    inputs: estimator.Weights,
+    targets: estimator.Weights,
+    hidden: Sequence[int],
+    epochs: int,
+    random: np.random.Generator,
+) -> estimator.Network:
     """Fit by Adam with a cosine schedule.
 
     The predicted standard deviation weights the likelihood's gradient (Seitzer et al. 2022, beta = 0.5). Without it,
@@ -263,25 +248,27 @@ def _fit(inputs: Weights, targets: Weights, hidden: Sequence[int], epochs: int, 
     return network
 
 
-def _initial(inputs: int, hidden: Sequence[int], outputs: int, random: np.random.Generator) -> Network:
+def _initial(inputs: int, hidden: Sequence[int], outputs: int, random: np.random.Generator) -> estimator.Network:
     sizes = [inputs, *hidden, 2 * outputs]
     weights = [
         (random.standard_normal((a, b)) * math.sqrt(2.0 / a)).astype(np.float32) for a, b in itertools.pairwise(sizes)
     ]
     weights[-1] *= np.float32(0.1)
-    return Network(tuple(weights), tuple(np.zeros(size, np.float32) for size in sizes[1:]))
+    return estimator.Network(tuple(weights), tuple(np.zeros(size, np.float32) for size in sizes[1:]))
 
 
-def _gradients(network: Network, inputs: Weights, targets: Weights) -> list[Weights]:
+def _gradients(
+    network: estimator.Network, inputs: estimator.Weights, targets: estimator.Weights
+) -> list[estimator.Weights]:
     layers = network.forward(inputs)
     outputs = targets.shape[1]
-    logarithm = np.clip(layers[-1][:, outputs:], *LOG_SPREAD)
+    logarithm = np.clip(layers[-1][:, outputs:], *estimator.LOG_SPREAD)
     error = layers[-1][:, :outputs] - targets
     precision, weight = np.exp(-2.0 * logarithm), np.exp(logarithm)
     flow = np.concatenate([error * precision * weight, (1.0 - error * error * precision) * weight], axis=1)
     flow = (flow / len(inputs)).astype(np.float32)
-    by_weight: list[Weights] = []
-    by_bias: list[Weights] = []
+    by_weight: list[estimator.Weights] = []
+    by_bias: list[estimator.Weights] = []
     for index in range(len(network.weights) - 1, -1, -1):
         by_weight.insert(0, np.asarray(layers[index].T @ flow, dtype=np.float32))
         by_bias.insert(0, np.asarray(flow.sum(axis=0), dtype=np.float32))
@@ -290,7 +277,7 @@ def _gradients(network: Network, inputs: Weights, targets: Weights) -> list[Weig
     return [*by_weight, *by_bias]
 
 
-def _arrays(prefix: str, network: Network) -> dict[str, Weights]:
+def _arrays(prefix: str, network: estimator.Network) -> dict[str, estimator.Weights]:
     """Return weights and biases by the names that `Network.restore` expects."""
     named = {f"{prefix}_weight{layer}": weight for layer, weight in enumerate(network.weights)}
     return named | {f"{prefix}_bias{layer}": bias for layer, bias in enumerate(network.biases)}

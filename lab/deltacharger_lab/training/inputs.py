@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the laboratory's own classifiers see: physical features, estimated pose, and outputs of packaged models."""
 
-from __future__ import annotations
-
 import functools
 import hashlib
 from collections.abc import Mapping
@@ -12,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_core.arrays import Array
-from deltacharger_core.machine import CONTACT_FORCE
+from deltacharger_core import arrays, machine
 from deltacharger_tactile import PoseEstimator, default_model, features, model_path
 from deltacharger_tactile.classifiers import classifier, runtime
 from deltacharger_tactile.classifiers.classifier import MODELS
@@ -27,7 +24,7 @@ POSE = 3
 _POSE_UNITS = np.array([1e3, 1e3, 180.0 / np.pi])
 
 
-def inputs(frames: Array, target: str, threshold: float) -> Array:
+def inputs(frames: arrays.Array, target: str, threshold: float) -> arrays.Array:
     """Return physical features, the estimated pose, and from 1 N on the last hidden layer of the packaged NN.
 
     Below 1 N that network adds nothing to the estimate: it was trained on the paper's readings.
@@ -44,7 +41,7 @@ def inputs(frames: Array, target: str, threshold: float) -> Array:
     pose = np.column_stack([found.horizontal, found.vertical, found.angle])
     physical = features.extract(features.fill_dead(frames), threshold).values
     known = [physical, pose * _POSE_UNITS]
-    if threshold >= CONTACT_FORCE:
+    if threshold >= machine.CONTACT_FORCE:
         taxels = np.where(frames >= threshold, frames, 0.0).reshape(len(frames), -1)
         known.append(runtime.hidden(_network(target), taxels))
     return np.concatenate(known, axis=1)
@@ -54,7 +51,7 @@ def inputs(frames: Array, target: str, threshold: float) -> Array:
 def digest(target: str, threshold: float) -> str:
     """Return 16 hexadecimal digits that change with the packaged models that `inputs` asks."""
     paths = [model_path(threshold)]
-    if threshold >= CONTACT_FORCE:
+    if threshold >= machine.CONTACT_FORCE:
         paths.append(_network_path(target))
     found = hashlib.sha256()
     for path in paths:

@@ -1,26 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Evaluates classifiers and pose estimators on dockings that they have not seen."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array
-from deltacharger_lab.training import labels
-from deltacharger_lab.training.classifier import TrainableClassifier
-from deltacharger_lab.training.estimator import TrainablePoseEstimator
-from deltacharger_lab.training.labels import Examples
+from deltacharger_lab.training import classifier, estimator, labels
 from deltacharger_lab.training.reliability import NOMINAL, WINDOW
-from deltacharger_tactile.dataset import Dataset
-from deltacharger_tactile.errors import DatasetError
+from deltacharger_tactile import dataset, errors
 
 AXES = ("horizontal", "vertical", "angle")
 
 
-def evaluate_classifier(model: TrainableClassifier, examples: Examples) -> dict[str, Any]:
+def evaluate_classifier(model: classifier.TrainableClassifier, examples: labels.Examples) -> dict[str, Any]:
     """Return accuracy, mean absolute error (rad or m), and the performance of conformal sets and drift check.
 
     `coverage` is the share of frames whose set holds the true class. `act_rate` is the share with exactly one class in
@@ -52,7 +46,7 @@ def evaluate_classifier(model: TrainableClassifier, examples: Examples) -> dict[
     return result
 
 
-def evaluate_pose(model: TrainablePoseEstimator, data: Dataset) -> dict[str, Any]:
+def evaluate_pose(model: estimator.TrainablePoseEstimator, data: dataset.Dataset) -> dict[str, Any]:
     """Return results for angle, vertical and horizontal, each as in `evaluate_classifier`.
 
     Errors (rad, m) are against the pose in contact if known, else the commanded one, over all rows with an estimate.
@@ -64,7 +58,7 @@ def evaluate_pose(model: TrainablePoseEstimator, data: Dataset) -> dict[str, Any
         DatasetError: the data have a higher threshold than the model.
     """
     if data.threshold > model.threshold:
-        raise DatasetError(
+        raise errors.DatasetError(
             "pose",
             f"the data are cut at {data.threshold:g} N and the model needs readings from {model.threshold:g} N on; "
             f"generate them with --threshold {model.threshold:g} or less",
@@ -91,7 +85,7 @@ def evaluate_pose(model: TrainablePoseEstimator, data: Dataset) -> dict[str, Any
     return result
 
 
-def _accuracy(found: Array, data: Dataset, name: str) -> float:
+def _accuracy(found: Array, data: dataset.Dataset, name: str) -> float:
     size = np.abs if name == "angle" else np.asarray
     rows, wanted = labels.rows(data, name)
     nearest = np.argmin(np.abs(np.nan_to_num(size(found[rows]), nan=np.inf)[:, None] - labels.centres(name)), axis=1)

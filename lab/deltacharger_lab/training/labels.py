@@ -10,9 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array
-from deltacharger_tactile.dataset import SUBSET_ANGLE, SUBSET_POSITION, Dataset
-from deltacharger_tactile.errors import DatasetError
-from deltacharger_tactile.parameters import ANGLE_CLASSES, POSITION_CLASSES
+from deltacharger_tactile import dataset, errors, parameters
 
 _ANGLE_STEP = np.radians(1.0)
 
@@ -47,7 +45,11 @@ class Examples:
 
 def centres(target: str) -> Array:
     """Return the centre of each class: rad or m."""
-    return np.arange(ANGLE_CLASSES) * _ANGLE_STEP if target == "angle" else np.array(POSITION_CLASSES)
+    return (
+        np.arange(parameters.ANGLE_CLASSES) * _ANGLE_STEP
+        if target == "angle"
+        else np.array(parameters.POSITION_CLASSES)
+    )
 
 
 def label(values: Array, target: str) -> NDArray[np.int64]:
@@ -61,23 +63,23 @@ def label(values: Array, target: str) -> NDArray[np.int64]:
     return np.where(np.abs(values - middle[nearest]) <= half + 1e-12, nearest, -1)
 
 
-def rows(data: Dataset, target: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def rows(data: dataset.Dataset, target: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the rows of a target's set (angle or position) and their classes.
 
     From a continuous data set, use all rows within a class.
     """
-    subset = SUBSET_ANGLE if target == "angle" else SUBSET_POSITION
+    subset = dataset.SUBSET_ANGLE if target == "angle" else dataset.SUBSET_POSITION
     classes_of = label(_values(data, target), target)
     chosen = np.flatnonzero(((data.subset == subset) | (data.subset < 0)) & (classes_of >= 0))
     return chosen, classes_of[chosen]
 
 
-def _values(data: Dataset, target: str) -> Array:
+def _values(data: dataset.Dataset, target: str) -> Array:
     commanded = np.asarray(getattr(data, target), dtype=float)
     return np.abs(commanded) if target == "angle" else commanded
 
 
-def examples(data: Dataset, target: str) -> Examples:
+def examples(data: dataset.Dataset, target: str) -> Examples:
     """Return the examples of a target.
 
     Raises:
@@ -85,7 +87,7 @@ def examples(data: Dataset, target: str) -> Examples:
     """
     chosen, known = rows(data, target)
     if not len(chosen):
-        raise DatasetError(target, "it has no rows; generate the data with --protocol paper, or use 'pose'")
+        raise errors.DatasetError(target, "it has no rows; generate the data with --protocol paper, or use 'pose'")
     frames = np.stack(data.robot_frames(), axis=1)[chosen]
     columns = (data.attempt, data.rig, data.session)
     return Examples(frames, known, _values(data, target)[chosen], *(column[chosen] for column in columns))

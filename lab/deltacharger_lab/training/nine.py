@@ -5,8 +5,6 @@ Training uses the paper's protocol on several rigs, so that models fit an unknow
 minutes on two cores. No other data use these rigs.
 """
 
-from __future__ import annotations
-
 import argparse
 import functools
 import os
@@ -21,10 +19,9 @@ import numpy as np
 from deltacharger_lab.training.classifier import TrainableClassifier
 from deltacharger_lab.training.labels import Examples, examples
 from deltacharger_sim.pads import generate_paper
+from deltacharger_tactile import dataset, parameters
 from deltacharger_tactile.classifiers import classifier
 from deltacharger_tactile.classifiers.classifier import TARGETS
-from deltacharger_tactile.dataset import Dataset
-from deltacharger_tactile.parameters import TactileParameters
 
 TRAINING_RIGS = range(1_200_000, 1_200_020)
 JUDGING_RIGS = range(900, 910)
@@ -41,7 +38,7 @@ def make(name: str, target: str, folder: Path) -> tuple[float, float]:
     model.shrink(judged.frames)
     right = float(np.mean(found == judged.labels))
     model.about = {
-        classifier.GENERATOR: TactileParameters().digest(),
+        classifier.GENERATOR: parameters.TactileParameters().digest(),
         classifier.ACCURACY: right,
         "fit_s": model.fit_time,
         "rigs": list(TRAINING_RIGS),
@@ -59,7 +56,7 @@ def _use_one_core() -> None:
 
 
 @functools.cache
-def _sets() -> tuple[Dataset, Dataset]:
+def _sets() -> tuple[dataset.Dataset, dataset.Dataset]:
     return generate_paper(rigs=TRAINING_RIGS, seed=SEED), generate_paper(rigs=JUDGING_RIGS, seed=SEED)
 
 

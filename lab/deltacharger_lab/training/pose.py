@@ -5,8 +5,6 @@
 The rigs and seeds below are reserved for training; demos, scenes and tests must use rigs below 1 000 000.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import math
@@ -17,14 +15,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_core.arrays import Array
-from deltacharger_core.machine import PADS
+from deltacharger_core import arrays, machine
 from deltacharger_lab.training.estimator import TrainablePoseEstimator, to_seat
 from deltacharger_sim.pads import Rig, measure
-from deltacharger_tactile import MODEL_PATHS
-from deltacharger_tactile.dataset import Dataset
-from deltacharger_tactile.errors import DatasetError
-from deltacharger_tactile.estimator import THRESHOLD, to_pose
+from deltacharger_tactile import MODEL_PATHS, dataset, errors, estimator
 from deltacharger_tactile.parameters import (
     LARGEST_HOLE,
     PadDockingParameters,
@@ -57,12 +51,12 @@ class RobotFrames:
     """
 
     frames: NDArray[np.float32]
-    pose: Array
-    force: Array
+    pose: arrays.Array
+    force: arrays.Array
     rig: NDArray[np.int64]
-    lean: Array
+    lean: arrays.Array
 
-    def pose_by_load(self) -> Array:
+    def pose_by_load(self) -> arrays.Array:
         """Return the poses (N, 3) with the horizontal offset that would give the same loads without a lean.
 
         Only the lean's tilt along the ridges counts; roll turns them against x. The vertical offset changes with the
@@ -71,7 +65,7 @@ class RobotFrames:
         seat = to_seat(self.pose)
         along = self.lean[:, 1] + self.lean[:, 0] * np.tan(self.pose[:, 2])
         seat[:, 0] += along / PadDockingParameters().tilt_per_x
-        return to_pose(seat)
+        return estimator.to_pose(seat)
 
 
 def varied(rig: int) -> TactileParameters:
@@ -102,7 +96,7 @@ def varied(rig: int) -> TactileParameters:
     return dataclasses.replace(base, docking=docking, sensor=sensor, contact=contact)
 
 
-def draw_poses(count: int, random: np.random.Generator) -> Array:
+def draw_poses(count: int, random: np.random.Generator) -> arrays.Array:
     """(count, 3) commanded poses: half over the full reach beyond the range, half at usual poses of dockings."""
     reach = np.array([_POSITION_REACH, _POSITION_REACH, _ANGLE_REACH])
     wide = random.uniform(-reach, reach, (count, 3))
@@ -115,7 +109,7 @@ def draw_poses(count: int, random: np.random.Generator) -> Array:
     return np.where(random.random((count, 1)) < 0.5, wide, near)
 
 
-def draw_leans(count: int, random: np.random.Generator) -> Array:
+def draw_leans(count: int, random: np.random.Generator) -> arrays.Array:
     """(count, 2) leans about x and y at rest, rad: half are 0, some small, others up to an unloaded pad."""
     leans = random.uniform(-_LEAN_REACH, _LEAN_REACH, (count, 2))
     leans[random.random(count) < _SMALL_LEANS] *= _SMALL
@@ -172,7 +166,7 @@ def _another_sheet(frames: NDArray[np.float32], random: np.random.Generator) -> 
     rim = np.ones(shape, dtype=bool)
     rim[:, 1:-1, 1:-1] = False
     read = frames * random.uniform(0.75, 1.05) * (1.0 - random.uniform(0.0, 0.2) * rim)
-    read *= 1.0 + random.uniform(-0.2, 0.2, (PADS, 1, 1)) * (1.0 - np.minimum(read / 9.0, 1.0))
+    read *= 1.0 + random.uniform(-0.2, 0.2, (machine.PADS, 1, 1)) * (1.0 - np.minimum(read / 9.0, 1.0))
     least = random.uniform(0.0, 1.1) * (random.random() < 0.5)
     band = least * (1.0 + 0.15 * np.clip(random.standard_normal(shape), -2.0, 2.0))
     return np.asarray(np.where(read >= band, read, 0.0), dtype=np.float32)
@@ -184,7 +178,7 @@ def train(
     count: int = DOCKINGS_PER_RIG,
     seed: int = TRAINING_SEED,
     epochs: int = 24,
-    threshold: float = THRESHOLD,
+    threshold: float = estimator.THRESHOLD,
     hole: float = 0.0,
 ) -> TrainablePoseEstimator:
     """Train an estimator and scale its standard deviations on rigs unseen in training.
@@ -201,7 +195,7 @@ def train(
     learn, check = record(rigs, count, seed, hole=hole), record(held_out, count, seed, hole=hole)
     # A hole shows the ridge's position at any load: then the horizontal offset itself can be estimated.
     poses = [part.pose if hole else part.pose_by_load() for part in (learn, check)]
-    name = "pose-2" if threshold == THRESHOLD else f"pose-2@{threshold:g}N"
+    name = "pose-2" if threshold == estimator.THRESHOLD else f"pose-2@{threshold:g}N"
     name += f"-hole-{1e3 * hole:g}mm" if hole else ""
     model = TrainablePoseEstimator(name, threshold, epochs=epochs)
     model.fit(learn.frames, poses[0], (check.frames, poses[1]), seed)
@@ -216,7 +210,7 @@ def train(
 
 
 def fit_dataset(
-    data: Dataset, seed: int = 0, progress: Callable[[float, str], None] = lambda share, text: None
+    data: dataset.Dataset, seed: int = 0, progress: Callable[[float, str], None] = lambda share, text: None
 ) -> TrainablePoseEstimator:
     """Train an estimator on a data set of several rigs; every third rig scales the standard deviations.
 
@@ -231,14 +225,16 @@ def fit_dataset(
     """
     rigs = np.unique(data.rig)
     if len(rigs) < 3:
-        raise DatasetError(
+        raise errors.DatasetError(
             "pose",
             f"{len(rigs)} rigs are too few: at least 3 are needed, a third of them to scale the standard deviations; "
             "for one charger keep the packaged model and call `deltacharger calibrate tactile`",
         )
     model = TrainablePoseEstimator("pose-own")
     if not data.threshold <= model.threshold:
-        raise DatasetError("pose", f"readings below {data.threshold:g} N were cut off; give --threshold 0.25 or less")
+        raise errors.DatasetError(
+            "pose", f"readings below {data.threshold:g} N were cut off; give --threshold 0.25 or less"
+        )
     frames, pose = np.stack(data.robot_frames(), axis=1), data.poses()
     judges = np.isin(data.rig, rigs[::3])
     model.fit(frames[~judges], pose[~judges], (frames[judges], pose[judges]), seed, progress)
@@ -249,7 +245,7 @@ def fit_dataset(
 def main(arguments: Sequence[str] | None = None) -> int:
     """Train and write a packaged model."""
     parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("--threshold", type=float, choices=MODEL_PATHS, default=THRESHOLD, help="N (0.25)")
+    parser.add_argument("--threshold", type=float, choices=MODEL_PATHS, default=estimator.THRESHOLD, help="N (0.25)")
     parser.add_argument("--hole-mm", type=float, default=0.0, help="hole in each ridge; needs --output (none)")
     parser.add_argument("--output", type=Path, help="another file than the package's")
     options = parser.parse_args(arguments)

@@ -20,11 +20,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_core.arrays import Array, Mask
-from deltacharger_core.machine import ROWS
+from deltacharger_core import arrays, machine
 from deltacharger_lab.training.splits import distinct
-from deltacharger_tactile.errors import ModelError
-from deltacharger_tactile.parameters import PadContactParameters
+from deltacharger_tactile import errors, parameters
 
 WINDOW = 50
 """Fewest dockings judged together."""
@@ -42,8 +40,8 @@ _BUMP = 0.7  # width of a node's bump, in standard deviations
 _PENALTY = 0.3  # on a bump's weight
 _LEAST = 0.01  # of any feature's spread, so that one that never varied does not decide
 _LIGHT = 5.0  # N, added to a pad's load before dividing: an unloaded pad has no shape
-_PITCH = 1e3 * PadContactParameters().pad_side / ROWS
-_AWAY = _PITCH * (0.5 * (ROWS - 1) - np.arange(ROWS))  # of taxel centres from the pad's, mm
+_PITCH = 1e3 * parameters.PadContactParameters().pad_side / machine.ROWS
+_AWAY = _PITCH * (0.5 * (machine.ROWS - 1) - np.arange(machine.ROWS))  # of taxel centres from the pad's, mm
 
 
 @dataclass(frozen=True)
@@ -65,29 +63,29 @@ class Familiarity:
         feature_limit: largest familiar single feature of a window's mean, in standard deviations.
     """
 
-    centre: Array
-    spread: Array
-    nodes: Array
-    gram: Array
-    weights: Array
-    scale: Array
-    precision: Array
+    centre: arrays.Array
+    spread: arrays.Array
+    nodes: arrays.Array
+    gram: arrays.Array
+    weights: arrays.Array
+    scale: arrays.Array
+    precision: arrays.Array
     frame_limit: float = float("inf")
     load_limit: float = float("inf")
     reach_limit: float = float("inf")
     window_limit: float = float("inf")
     feature_limit: float = float("inf")
 
-    def strange(self, frames: Array, threshold: float) -> Mask:
+    def strange(self, frames: arrays.Array, threshold: float) -> arrays.Mask:
         """Return which frames (N, 2, 10, 10) N look unlike training."""
         return self._strange(*self.remainders(frames, threshold))
 
-    def _strange(self, remainder: Array, terms: Array) -> Mask:
+    def _strange(self, remainder: arrays.Array, terms: arrays.Array) -> arrays.Mask:
         distance, reach = self._sizes(remainder, terms)
         load = np.abs(remainder[:, 0]) / np.sqrt(1.0 + reach)
         return np.asarray((distance > self.frame_limit) | (reach > self.reach_limit) | (load > self.load_limit))
 
-    def strange_together(self, frames: Array, threshold: float) -> bool:
+    def strange_together(self, frames: arrays.Array, threshold: float) -> bool:
         """Return whether frames (N, 2, 10, 10) N of N ≥ WINDOW dockings look, on average, unlike training."""
         remainder, terms = self.remainders(frames, threshold)
         usual = _FALSE * len(frames)  # a count, so its standard deviation is its root
@@ -102,15 +100,15 @@ class Familiarity:
         together = float(mean @ self.precision @ mean) / variance
         return bool(together > self.window_limit or np.abs(mean).max() > self.feature_limit * np.sqrt(variance))
 
-    def distances(self, frames: Array, threshold: float) -> tuple[Array, Array]:
+    def distances(self, frames: arrays.Array, threshold: float) -> tuple[arrays.Array, arrays.Array]:
         """Return T² and leverage of each frame: (N,), (N,)."""
         return self._sizes(*self.remainders(frames, threshold))
 
-    def _sizes(self, remainder: Array, terms: Array) -> tuple[Array, Array]:
+    def _sizes(self, remainder: arrays.Array, terms: arrays.Array) -> tuple[arrays.Array, arrays.Array]:
         reach = _squared(terms, self.gram)
         return _squared(remainder, self.precision) / (1.0 + reach), reach
 
-    def remainders(self, frames: Array, threshold: float) -> tuple[Array, Array]:
+    def remainders(self, frames: arrays.Array, threshold: float) -> tuple[arrays.Array, arrays.Array]:
         """Return the scaled remainders of features (N, F) and the terms (N, B)."""
         posed, other = _features(frames, threshold)
         terms = _terms((posed - self.centre) / self.spread, self.nodes)
@@ -127,7 +125,7 @@ class Familiarity:
         return Familiarity(**read)
 
 
-def learn_familiar(frames: Array, threshold: float) -> Familiarity:
+def learn_familiar(frames: arrays.Array, threshold: float) -> Familiarity:
     """Learn from familiar frames (N, 2, 10, 10) N; limits come from cross-validation.
 
     Args:
@@ -139,7 +137,7 @@ def learn_familiar(frames: Array, threshold: float) -> Familiarity:
     """
     frames = frames[distinct(frames, threshold)]
     if len(frames) < FEWEST:
-        raise ModelError(
+        raise errors.ModelError(
             "reliability", f"{len(frames)} different frames in contact are too few; give at least {FEWEST}"
         )
     random = np.random.default_rng(0)  # only for folds and windows
@@ -169,12 +167,12 @@ def learn_familiar(frames: Array, threshold: float) -> Familiarity:
     )
 
 
-def _capped(remainder: Array, distance: Array, limit: float) -> Array:
+def _capped(remainder: arrays.Array, distance: arrays.Array, limit: float) -> arrays.Array:
     """Return remainders (N, F), each scaled down to the limit on its distance (N,), so that one cannot decide alone."""
     return np.asarray(remainder * np.sqrt(np.minimum(1.0, limit / np.maximum(distance, 1e-9)))[:, None])
 
 
-def _fit(frames: Array, threshold: float) -> Familiarity:
+def _fit(frames: arrays.Array, threshold: float) -> Familiarity:
     posed, other = _features(frames, threshold)
     centre, spread = np.asarray(posed.mean(axis=0)), np.asarray(posed.std(axis=0) + 1e-9)
     scaled = (posed - centre) / spread
@@ -190,12 +188,12 @@ def _fit(frames: Array, threshold: float) -> Familiarity:
     return Familiarity(centre, spread, nodes, gram, weights, scale, precision)
 
 
-def _squared(values: Array, form: Array) -> Array:
+def _squared(values: arrays.Array, form: arrays.Array) -> arrays.Array:
     """Return the quadratic form (F, F) of each row of values (N, F)."""
     return np.asarray(np.einsum("ni,ni->n", values @ form, values))
 
 
-def _shrunk(values: Array) -> Array:
+def _shrunk(values: arrays.Array) -> arrays.Array:
     """Return the covariance of centred values (N, F), shrunk to a multiple of the unit (Ledoit and Wolf 2004)."""
     count, width = values.shape
     covariance = values.T @ values / count
@@ -205,7 +203,7 @@ def _shrunk(values: Array) -> Array:
     return np.asarray((1.0 - share) * covariance + share * level * np.eye(width))
 
 
-def _features(frames: Array, threshold: float) -> tuple[Array, Array]:
+def _features(frames: arrays.Array, threshold: float) -> tuple[arrays.Array, arrays.Array]:
     """Return features that follow the pose (N, 3) and the others (N, F): N, mm, their logarithms and ratios."""
     seen = np.where(frames >= threshold, frames, 0.0)
     rows, columns = seen.sum(axis=3), seen.sum(axis=2)
@@ -224,7 +222,7 @@ def _features(frames: Array, threshold: float) -> tuple[Array, Array]:
     return posed, np.concatenate([total, active, *shape, heights, shares], axis=1)
 
 
-def _terms(values: Array, nodes: Array) -> Array:
+def _terms(values: arrays.Array, nodes: arrays.Array) -> arrays.Array:
     """Return 1, the values (N, P), their products and a bump around each node (M, P): (N, B)."""
     first, second = np.triu_indices(values.shape[1])
     squared = np.sum((values[:, None] - nodes) ** 2, axis=2)
@@ -232,7 +230,7 @@ def _terms(values: Array, nodes: Array) -> Array:
     return np.column_stack([np.ones(len(values)), values, values[:, first] * values[:, second], bumps])
 
 
-def _spread_out(values: Array, count: int) -> Array:
+def _spread_out(values: arrays.Array, count: int) -> arrays.Array:
     """Return `count` of the values (N, P), each the farthest from the earlier ones."""
     chosen = [int(np.argmin(np.sum(values * values, axis=1)))]
     nearest = np.full(len(values), np.inf)
@@ -264,11 +262,11 @@ class Reliability:
     quantile: float
     familiar: Familiarity
 
-    def sets(self, probabilities: Array) -> Mask:
+    def sets(self, probabilities: arrays.Array) -> arrays.Mask:
         """Return which classes (N, C) belong to the set of each frame; a set may be empty."""
         return np.asarray(1.0 - probabilities <= self.quantile)
 
-    def drifted_together(self, frames: Array, threshold: float) -> bool:
+    def drifted_together(self, frames: arrays.Array, threshold: float) -> bool:
         """Return whether the last dockings together look unlike training, though each alone may not.
 
         Args:
@@ -279,7 +277,9 @@ class Reliability:
             ModelError: too few frames.
         """
         if len(frames) < WINDOW:
-            raise ModelError("reliability", f"{len(frames)} dockings are too few to judge; give at least {WINDOW}")
+            raise errors.ModelError(
+                "reliability", f"{len(frames)} dockings are too few to judge; give at least {WINDOW}"
+            )
         return self.familiar.strange_together(frames, threshold)
 
     def to_dict(self) -> dict[str, Any]:
@@ -293,11 +293,11 @@ class Reliability:
 
 
 def learn(
-    probabilities: Array,
+    probabilities: arrays.Array,
     labels: NDArray[np.int64],
-    frames: Array,
+    frames: arrays.Array,
     threshold: float,
-    familiar: Array | None = None,
+    familiar: arrays.Array | None = None,
 ) -> Reliability:
     """Learn from frames that training did not see (Vovk et al. 2005; score 1 − probability of the true class).
 
@@ -314,7 +314,7 @@ def learn(
     """
     count = len(labels)
     if count < FEWEST:
-        raise ModelError("reliability", f"{count} held-out frames are too few; give at least {FEWEST}")
+        raise errors.ModelError("reliability", f"{count} held-out frames are too few; give at least {FEWEST}")
     scores = np.sort(1.0 - probabilities[np.arange(count), labels])
     rank = math.ceil((count + 1) * NOMINAL)
     quantile = float(scores[rank - 1]) if rank <= count else 1.0

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Training with scikit-learn and XGBoost, and export to arrays."""
 
-from __future__ import annotations
-
 import itertools
 import warnings
 from collections.abc import Callable, Sequence

@@ -1,13 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which frames teach something, and splits into training and test frames by docking, as in the paper."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_core.arrays import Array
-from deltacharger_core.machine import COLUMNS, PADS, ROWS
+from deltacharger_core import arrays, machine
 from deltacharger_lab.training.labels import Examples
 
 Rows = NDArray[np.int64]
@@ -16,13 +13,13 @@ PAPER_SHARE = 0.67
 """Share of the dockings that the paper trains with."""
 
 
-def distinct(frames: Array, threshold: float) -> Rows:
+def distinct(frames: arrays.Array, threshold: float) -> Rows:
     """Return the rows of frames (N, 2, 10, 10) N that are in contact and repeat no earlier row; NaN is no contact.
 
     Only these teach something: pads that touch nothing and a board that repeats itself give the same for every pose.
     """
     seen = np.where(frames >= threshold, frames, 0.0).astype(np.float32)  # as data sets store
-    seen = seen.reshape(-1, PADS * ROWS * COLUMNS)
+    seen = seen.reshape(-1, machine.PADS * machine.ROWS * machine.COLUMNS)
     _, first = np.unique(seen, axis=0, return_index=True)
     return np.sort(first[seen[first].any(axis=1)])
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`deltacharger doctor`: findings for this computer, what it may lack, and the command line."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -13,8 +11,7 @@ from typing import Any
 
 import pytest
 
-from deltacharger_bringup.doctor.environment import examine_camera, examine_settings, running
-from deltacharger_bringup.doctor.findings import Finding, checked, ok
+from deltacharger_bringup.doctor import environment, findings
 from deltacharger_sim.emulators.servo_bus import ServoBusEmulator
 
 from ...emulated_ports import IDS
@@ -27,11 +24,11 @@ from .test_devices import named, parts
     [(ZeroDivisionError("nothing to divide"), "divide"), (ModuleNotFoundError(name="a_module"), "a_module")],
 )
 def test_a_failed_check_is_a_finding_and_keeps_earlier_findings(problem: Exception, noun: str) -> None:
-    def broken() -> Iterator[Finding]:
-        yield ok("first", "fine")
+    def broken() -> Iterator[findings.Finding]:
+        yield findings.ok("first", "fine")
         raise problem
 
-    first, second = checked("second", broken)
+    first, second = findings.checked("second", broken)
     assert (first.level, second.level, noun in f"{second.message} {second.remedy}") == ("ok", "wrong", True)
 
 
@@ -43,24 +40,24 @@ def test_a_failed_check_is_a_finding_and_keeps_earlier_findings(problem: Excepti
     ],
 )
 def test_settings_that_disable_ros_are_wrong(monkeypatch: pytest.MonkeyPatch, name: str, value: str, part: str) -> None:
-    assert not parts(examine_settings(), "wrong")
+    assert not parts(environment.examine_settings(), "wrong")
     monkeypatch.setenv(name, value)
-    named(examine_settings(), ("wrong", part, ""))
+    named(environment.examine_settings(), ("wrong", part, ""))
 
 
 def test_a_missing_camera_is_reported_but_never_wrong(tmp_path: Path) -> None:
-    absent = list(examine_camera(None, tmp_path))
+    absent = list(environment.examine_camera(None, tmp_path))
     assert not parts(absent, "wrong")
     assert any("no OAK" in finding.message for finding in absent)
     (tmp_path / "2-1").mkdir()
     (tmp_path / "2-1" / "idVendor").write_text("03e7\n")
-    present = " ".join(finding.message for finding in examine_camera(2, tmp_path) if finding.level == "ok")
+    present = " ".join(finding.message for finding in environment.examine_camera(2, tmp_path) if finding.level == "ok")
     assert ("an OAK" in present, "2 publishers" in present) == (True, True)
 
 
 @pytest.mark.parametrize("silent", ["", "a charger's answers do not arrive: run both as one user"])
 def test_a_charger_that_does_not_answer_is_wrong(silent: str) -> None:
-    found = running(["/left"], silent)
+    found = environment.running(["/left"], silent)
     assert (found.level, "/left" in found.message) == (("wrong", False) if silent else ("hint", True))
     assert found.remedy == "run both as one user" or not silent
 

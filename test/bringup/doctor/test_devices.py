@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Findings of the doctor for ports, a board and servos, healthy and with each fault that it can name."""
 
-from __future__ import annotations
-
 import errno
 import grp
 import math
@@ -16,11 +14,8 @@ from deltacharger_bringup.doctor import board as examiner
 from deltacharger_bringup.doctor.environment import examine_port
 from deltacharger_bringup.doctor.findings import Finding
 from deltacharger_bringup.doctor.servos import examine_servos
-from deltacharger_driver import ports
-from deltacharger_driver.board.link import BoardLink
-from deltacharger_driver.board.protocol import BoardFault
-from deltacharger_driver.port_identity import SERVO_SPEEDS
-from deltacharger_driver.ports import PseudoTerminal, holders
+from deltacharger_driver import port_identity, ports
+from deltacharger_driver.board import link, protocol
 from deltacharger_driver.servos.registers import WATCHDOG_TRIPPED
 from deltacharger_sim.emulators.board import BoardEmulator
 from deltacharger_sim.emulators.servo_bus import ServoBusEmulator
@@ -66,8 +61,8 @@ def test_dead_taxels_and_a_latched_fault_are_named(board: BoardEmulator, board_p
     board.set_dead(0, 3, 7)
     for column in range(4):
         board.set_dead(1, 0, column)
-    with BoardLink(board_port):  # wait for the boot, which clears the fault
-        board.trip(BoardFault.OVER_CURRENT)
+    with link.BoardLink(board_port):  # wait for the boot, which clears the fault
+        board.trip(protocol.BoardFault.OVER_CURRENT)
     found = board_findings(board_port)
     named(found, ("hint", "left pad", "row 3 column 7"), ("wrong", "right pad", "4 of 100"))
     named(found, ("wrong", "power", "over current"))
@@ -75,8 +70,8 @@ def test_dead_taxels_and_a_latched_fault_are_named(board: BoardEmulator, board_p
 
 def test_a_weld_is_cleared_on_request_unless_something_is_live(board: BoardEmulator, board_port: str) -> None:
     plant = board._power._plant
-    with BoardLink(board_port):
-        board.trip(BoardFault.CONTACTOR_WELDED)
+    with link.BoardLink(board_port):
+        board.trip(protocol.BoardFault.CONTACTOR_WELDED)
     named(board_findings(board_port), ("wrong", "power", "--clear-weld"))
     named(board_findings(board_port, clear_weld=True), ("wrong", "weld", "24.0 V"), ("wrong", "power", "welded"))
     plant.resistance = math.inf
@@ -102,7 +97,7 @@ def test_target_and_battery_are_judged_as_docking_judges_them(
     bench = BenchPlant()
     for name, value in plant.items():
         setattr(bench, name, value)
-    with PseudoTerminal(BoardEmulator(bench)) as terminal:
+    with ports.PseudoTerminal(BoardEmulator(bench)) as terminal:
         found = board_findings(terminal.path, wired=wired)
     named(found, (level, part, noun))
     assert ("probe" in {finding.part for finding in found}) is not wired
@@ -145,7 +140,7 @@ def test_a_servo_with_factory_speed_is_named(servos: ServoBusEmulator, servo_por
 def test_missing_old_and_unknown_servos_are_distinguished(servos: ServoBusEmulator, servo_port: str) -> None:
     use_protocol_1(servos, 1)
     servos.servo(3).table.set("id", 9)
-    found = servo_findings(servo_port, SERVO_SPEEDS)
+    found = servo_findings(servo_port, port_identity.SERVO_SPEEDS)
     named(found, ("wrong", "servo 1", "firmware"), ("wrong", "servo 3", "does not answer"), ("hint", "servos", "id 9"))
     assert "servo 2" not in parts(found, "wrong")
 
@@ -169,17 +164,17 @@ def test_a_bad_line_is_wrong(servos: ServoBusEmulator, servo_port: str) -> None:
 @pytest.mark.rest
 def test_two_servos_with_one_id_are_named() -> None:
     twins = ServoBusEmulator(BenchArm(), ids=(1, 2, 2))
-    with PseudoTerminal(twins) as terminal:
+    with ports.PseudoTerminal(twins) as terminal:
         named(servo_findings(terminal.path), ("wrong", "servo 2", "two servos"))
 
 
 def test_a_busy_port_names_its_user(board_port: str) -> None:
     user = f"process {os.getpid()}"
     with open(board_port, "rb"):
-        assert any(user in name for name in holders(board_port))
+        assert any(user in name for name in ports.holders(board_port))
     with serial.Serial(board_port, exclusive=True):
         named(examine_port("board port", board_port), ("wrong", "board port", user))
-        assert len(holders(board_port)) == 1, "the emulator's end of the terminal does not count"
+        assert len(ports.holders(board_port)) == 1, "the emulator's end of the terminal does not count"
 
 
 def test_a_free_port_is_ok_and_a_forbidden_one_names_the_group(

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The devices of the contract, and a host for each."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path

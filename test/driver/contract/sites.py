@@ -4,8 +4,6 @@
 A site states how to reach a device and what is known of it; tests use nothing else.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import subprocess
@@ -14,11 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deltacharger_core.servo_types import MX_64, ServoType
-from deltacharger_driver.parameters import REPLY_MARGIN
-from deltacharger_driver.ports import PseudoTerminal
+from deltacharger_driver import parameters, ports
 from deltacharger_driver.servos.registers import BusSettings
-from deltacharger_sim.emulators.board import BoardEmulator
-from deltacharger_sim.emulators.servo_bus import ServoBusEmulator
+from deltacharger_sim.emulators import board, servo_bus
 
 from ...plants import BenchArm, BenchPlant
 
@@ -45,7 +41,7 @@ class ServoSite:
     @property
     def settings(self) -> BusSettings:
         """Wiring and mounting of the drawing; an emulator on the tests' computer gets more time than a servo."""
-        margin = REPLY_MARGIN if self.real else _EMULATOR_MARGIN
+        margin = parameters.REPLY_MARGIN if self.real else _EMULATOR_MARGIN
         return BusSettings(self.path, reply_margin=margin, current_max=min(_LARGEST_CURRENT, self.kind.stall_current))
 
 
@@ -69,8 +65,8 @@ class BoardSite:
 @contextlib.contextmanager
 def emulated_servos(kind: ServoType = MX_64) -> Iterator[ServoSite]:
     """Serve emulated servos; their arms have different angles, so that they cannot be confused."""
-    emulator = ServoBusEmulator(BenchArm((-0.7, -0.5, 0.2), torque_constant=kind.torque_constant), kind=kind)
-    with PseudoTerminal(emulator) as terminal:
+    emulator = servo_bus.ServoBusEmulator(BenchArm((-0.7, -0.5, 0.2), torque_constant=kind.torque_constant), kind=kind)
+    with ports.PseudoTerminal(emulator) as terminal:
         emulator.line_speed = terminal.speed
         yield ServoSite(terminal.path, real=False, kind=kind)
     assert terminal.error is None
@@ -81,9 +77,9 @@ def emulated_board() -> Iterator[BoardSite]:
     """Serve an emulated board whose electrodes touch nothing."""
     plant = BenchPlant()
     plant.resistance = math.inf
-    emulator = BoardEmulator(plant)
+    emulator = board.BoardEmulator(plant)
     emulator.set_dead(*DEAD_TAXEL)
-    with PseudoTerminal(emulator) as terminal:
+    with ports.PseudoTerminal(emulator) as terminal:
         yield BoardSite(terminal.path, False, frozenset({DEAD_TAXEL}), lambda: setattr(plant, "resistance", LOAD))
     assert terminal.error is None
 

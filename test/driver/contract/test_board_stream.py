@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Laws of a healthy board with untouched pads, whose contactor is not closed: frames and power."""
 
-from __future__ import annotations
-
 import math
 import statistics
 import time
@@ -12,14 +10,7 @@ import numpy as np
 import pytest
 
 from deltacharger_core.machine import CONTACT_FORCE
-from deltacharger_driver.board.protocol import (
-    FULL_SCALE,
-    POWER_RATE,
-    AckError,
-    BoardFault,
-    CommandRefused,
-    TactileSample,
-)
+from deltacharger_driver.board import protocol
 from deltacharger_driver.port_identity import identify
 
 from ...waiting import wait_until
@@ -33,7 +24,7 @@ PAUSE = 0.08  # s without a frame, after which a pseudo-terminal loses some
 RESTING = 0.05  # N, median of a tared pad
 
 
-def seconds(frames: list[TactileSample]) -> float:
+def seconds(frames: list[protocol.TactileSample]) -> float:
     """Time from the first to the last frame on the board's clock."""
     return (frames[-1].device_time_us - frames[0].device_time_us) * 1e-6
 
@@ -57,9 +48,9 @@ def test_frames_have_the_requested_rate_on_the_boards_clock(host: BoardHost, rat
 def test_an_unsupported_rate_is_refused_and_the_old_one_stays(host: BoardHost) -> None:
     host.link.set_rate(60.0)
     for rate in (0.0, -60.0, 1e6):
-        with pytest.raises(CommandRefused) as refusal:
+        with pytest.raises(protocol.CommandRefused) as refusal:
             host.link.set_rate(rate)
-        assert refusal.value.error == AckError.BAD_PAYLOAD
+        assert refusal.value.error == protocol.AckError.BAD_PAYLOAD
     assert host.link.hello().rate == 60.0
 
 
@@ -114,7 +105,7 @@ def test_a_taxel_is_dead_always_or_never(host: BoardHost, board_site: BoardSite)
     alive = ~dead[0]
     assert alive.any(axis=(1, 2)).all(), "a pad has no live taxel; check its cable"
     assert (forces[:, alive] >= 0.0).all()
-    assert (forces[:, alive] <= FULL_SCALE).all()
+    assert (forces[:, alive] <= protocol.FULL_SCALE).all()
     if board_site.dead is not None:
         assert {tuple(map(int, place)) for place in np.argwhere(~alive)} == board_site.dead
 
@@ -148,11 +139,11 @@ LEAKAGE = 0.5  # A, largest reading with an open contactor
 def test_power_is_sent_at_its_rate_with_possible_values(host: BoardHost) -> None:
     samples = host.next_powers(12)
     steps = [later.time - earlier.time for earlier, later in pairwise(samples)]
-    assert statistics.median(steps) * POWER_RATE == pytest.approx(1.0, rel=0.05)
+    assert statistics.median(steps) * protocol.POWER_RATE == pytest.approx(1.0, rel=0.05)
     assert host.link.counters.lost_power == 0
     for power in (sample.power for sample in samples):
         assert power.contactor_closed is False
-        assert power.fault == BoardFault.NONE
+        assert power.fault == protocol.BoardFault.NONE
         assert math.isnan(power.battery_voltage) or 0.0 < power.battery_voltage < LARGEST_VOLTAGE
         assert math.isnan(power.target_voltage) or abs(power.target_voltage) < LARGEST_VOLTAGE
         assert math.isnan(power.charge_current) or abs(power.charge_current) < LEAKAGE
@@ -166,7 +157,7 @@ def test_a_probe_answers_in_time_and_another_may_follow(host: BoardHost, board_s
         assert result.resistance >= 0.0, "the board measured nothing"
         assert math.isnan(result.target_voltage) or abs(result.target_voltage) < LARGEST_VOLTAGE
     assert not board_site.real or host.link.counters.retries == 0  # this computer may pause
-    assert all(sample.power.fault == BoardFault.NONE for sample in host.next_powers(2))
+    assert all(sample.power.fault == protocol.BoardFault.NONE for sample in host.next_powers(2))
 
 
 def test_a_probe_in_free_air_finds_an_open_circuit(

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Laws of a healthy board's answers to unknown, wrong, damaged and split packets."""
 
-from __future__ import annotations
-
 import itertools
 import time
 import zlib

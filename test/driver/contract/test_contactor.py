@@ -1,26 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Laws of a healthy board's contactor with a battery connected. On a real one only with --close-contactor."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 
 import pytest
 
 from deltacharger_core.machine import PROBE_LIFETIME, ChargeLimits
-from deltacharger_driver.board.protocol import (
-    HEARTBEAT_TIMEOUT,
-    POWER_RATE,
-    AckError,
-    BoardFault,
-    CommandRefused,
-    probe_problem,
-)
+from deltacharger_driver.board import protocol
 
 from ...chargers import patience
-from ...waiting import host as within
-from ...waiting import wait_until
+from ...waiting import host as within, wait_until
 from .host import BoardHost
 from .sites import BoardSite
 
@@ -28,7 +18,9 @@ pytestmark = pytest.mark.usefixtures("may_close")
 
 LIMITS = ChargeLimits(1.0, 29.4)
 LONGEST_CLOSE = 5.0  # s; whatever a test does, its heartbeat stops then
-SEEN_WITHIN = HEARTBEAT_TIMEOUT + 2.0 / POWER_RATE  # s from the last heartbeat to a POWER packet that reports open
+SEEN_WITHIN = (
+    protocol.HEARTBEAT_TIMEOUT + 2.0 / protocol.POWER_RATE
+)  # s from the last heartbeat to a POWER packet that reports open
 
 
 @pytest.fixture
@@ -36,7 +28,7 @@ def loaded(host: BoardHost, board_site: BoardSite) -> Iterator[BoardHost]:
     """A board whose electrodes touch a battery; an emulated one waits for this computer's heartbeat thread."""
     board_site.connect_load()
     result = host.link.probe()
-    problem = probe_problem(result.resistance, result.target_voltage)
+    problem = protocol.probe_problem(result.resistance, result.target_voltage)
     assert not problem, f"--close-contactor needs a battery between the electrodes: {problem}"
     host.link.contactor(False)
     with patience():
@@ -54,7 +46,7 @@ def close(host: BoardHost) -> None:
 
 def refused(host: BoardHost) -> int:
     """Request a close that must be refused, and return the board's reason."""
-    with pytest.raises(CommandRefused) as refusal:
+    with pytest.raises(protocol.CommandRefused) as refusal:
         host.link.contactor(True, LIMITS)
     return refusal.value.error
 
@@ -65,7 +57,7 @@ def stays_open(host: BoardHost) -> bool:
 
 def test_no_close_without_a_heartbeat(loaded: BoardHost) -> None:
     loaded.link.probe()
-    assert refused(loaded) == AckError.INTERLOCK
+    assert refused(loaded) == protocol.AckError.INTERLOCK
     assert stays_open(loaded)
 
 
@@ -73,7 +65,7 @@ def test_no_close_without_a_probe_since_the_last_opening(loaded: BoardHost) -> N
     loaded.link.probe()
     loaded.link.contactor(False)
     loaded.link.keep_alive(time.monotonic() + LONGEST_CLOSE)
-    assert refused(loaded) == AckError.INTERLOCK
+    assert refused(loaded) == protocol.AckError.INTERLOCK
     assert stays_open(loaded)
 
 
@@ -82,7 +74,7 @@ def test_no_close_after_the_probe_is_too_old(loaded: BoardHost) -> None:
     result = loaded.link.probe()
     loaded.link.keep_alive(time.monotonic() + LONGEST_CLOSE)
     wait_until(lambda: time.monotonic() > result.time + PROBE_LIFETIME, "the probe to become too old")
-    assert refused(loaded) == AckError.INTERLOCK
+    assert refused(loaded) == protocol.AckError.INTERLOCK
     assert stays_open(loaded)
 
 
@@ -90,19 +82,19 @@ def test_a_closed_contactor_is_reported_and_an_open_one_needs_a_new_probe(loaded
     close(loaded)
     for power in (sample.power for sample in loaded.next_powers(4)):
         assert power.contactor_closed
-        assert power.fault == BoardFault.NONE
+        assert power.fault == protocol.BoardFault.NONE
         assert abs(power.charge_current) < 20.0  # and it was measured
-    assert refused(loaded) == AckError.NOT_NOW
-    with pytest.raises(CommandRefused) as refusal:
+    assert refused(loaded) == protocol.AckError.NOT_NOW
+    with pytest.raises(protocol.CommandRefused) as refusal:
         loaded.link.clear_weld()
-    assert refusal.value.error == AckError.NOT_NOW
-    with pytest.raises(CommandRefused) as refusal:
+    assert refusal.value.error == protocol.AckError.NOT_NOW
+    with pytest.raises(protocol.CommandRefused) as refusal:
         loaded.link.probe()
-    assert refusal.value.error == AckError.NOT_NOW
+    assert refusal.value.error == protocol.AckError.NOT_NOW
     loaded.link.contactor(False)
     opened = loaded.await_contactor(closed=False)
-    assert opened.power.fault == BoardFault.NONE
-    assert refused(loaded) == AckError.INTERLOCK
+    assert opened.power.fault == protocol.BoardFault.NONE
+    assert refused(loaded) == protocol.AckError.INTERLOCK
     assert stays_open(loaded)
 
 
@@ -113,13 +105,13 @@ def test_a_stopped_heartbeat_opens_the_contactor_in_time(loaded: BoardHost) -> N
     stopped = time.monotonic()
     opened = loaded.await_contactor(closed=False)
     assert opened.time - stopped < within(SEEN_WITHIN)
-    assert opened.power.fault == BoardFault.HEARTBEAT_LOST
-    assert refused(loaded) == AckError.INTERLOCK
-    with pytest.raises(CommandRefused) as refusal:
+    assert opened.power.fault == protocol.BoardFault.HEARTBEAT_LOST
+    assert refused(loaded) == protocol.AckError.INTERLOCK
+    with pytest.raises(protocol.CommandRefused) as refusal:
         loaded.link.probe()
-    assert refusal.value.error == AckError.INTERLOCK
+    assert refusal.value.error == protocol.AckError.INTERLOCK
     loaded.link.contactor(False)
-    assert loaded.next_powers(2)[-1].power.fault == BoardFault.NONE, "an opening clears the latched fault"
+    assert loaded.next_powers(2)[-1].power.fault == protocol.BoardFault.NONE, "an opening clears the latched fault"
 
 
 def test_a_host_that_disconnects_leaves_the_contactor_open(loaded: BoardHost) -> None:

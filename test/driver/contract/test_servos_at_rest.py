@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Laws of three healthy MX-64 without torque; no test moves them."""
 
-from __future__ import annotations
-
 import math
 import statistics
 import time
@@ -11,8 +9,7 @@ from dataclasses import replace
 import pytest
 
 from deltacharger_core.servo_types import ServoType
-from deltacharger_driver.errors import DriverError, ServoFault
-from deltacharger_driver.port_identity import identify
+from deltacharger_driver import errors, port_identity
 from deltacharger_driver.servos import registers
 from deltacharger_driver.servos.bus import ServoBus, ServoReport, configure, motion_registers, restart_watchdog
 from deltacharger_driver.servos.link import ServoLink
@@ -33,7 +30,7 @@ JITTER = {"present_current": 30, "present_velocity": 5, "present_position": 4, "
 def test_the_port_is_identified_as_the_three_servos(servo_site: ServoSite) -> None:
     settings = servo_site.settings
 
-    found = identify(servo_site.path, speeds=(settings.baud_rate,), ids=settings.ids)
+    found = port_identity.identify(servo_site.path, speeds=(settings.baud_rate,), ids=settings.ids)
     assert found.kind == "servos", found.details
     assert {servo.servo for servo in found.servos} == set(settings.ids), found.details
 
@@ -120,13 +117,13 @@ def check_values(snapshot: ServoReport, site: ServoSite) -> None:
 
 def test_forbidden_accesses_are_refused_by_name(link: ServoLink, servo_site: ServoSite) -> None:
     for servo in servo_site.settings.ids:
-        with pytest.raises(ServoFault, match=f"servo {servo}.*700"):
+        with pytest.raises(errors.ServoFault, match=f"servo {servo}.*700"):
             link.read_bytes(servo, 700, 2)  # the last register is 661
         restart_watchdog(link, servo)
         for name in ("present_position", "model", "goal_current"):
             before = link.read(servo, name)
             value = link.read(servo, "current_limit") + 1 if name == "goal_current" else before
-            with pytest.raises(ServoFault, match=f"servo {servo}.*{name}"):
+            with pytest.raises(errors.ServoFault, match=f"servo {servo}.*{name}"):
                 link.write(servo, name, value)
             assert abs(link.read(servo, name) - before) <= JITTER.get(name, 0)
 
@@ -140,7 +137,7 @@ def test_a_restart_loses_the_configuration_but_keeps_eeprom(link: ServoLink, ser
     def back() -> bool:
         try:
             return link.ping(servo) == servo_site.kind.model
-        except DriverError:
+        except errors.DriverError:
             return False
 
     wait_until(back, f"servo {servo} to come back from its restart")

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Laws of three healthy servos with torque on, moved by a few degrees. On real ones only with --move."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import time

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A stand-in for tf2_ros where no tf2 is installed: the part of its Buffer that deltacharger_core.ros.frames uses."""
 
-from __future__ import annotations
-
 import bisect
 import math
 from collections.abc import Iterable, Sequence

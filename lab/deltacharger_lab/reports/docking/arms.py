@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Dockings of arms with wrong assumed parameters, and of calibrated arms."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -1,16 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Dockings under faults: laws that were broken, and how dockings with each fault ended."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from typing import Any
 
-from deltacharger_lab.campaigns.hostile import FAULTS
+from deltacharger_lab.campaigns import hostile, judge, summary
 from deltacharger_lab.campaigns.hostile import SCENES as BASE_CODES
-from deltacharger_lab.campaigns.judge import LAWS, PERSON
-from deltacharger_lab.campaigns.summary import upper_bound
 from deltacharger_lab.reports.docking.summary import Columns, Figures, quantiles
 from deltacharger_lab.reports.report import at_least, none
 
@@ -27,13 +23,13 @@ def figures(rows: Columns) -> Figures:
     return {
         "n": len(broken),
         "clean": sum(not each for each in broken),
-        "laws": [_law(name, rows, broken) for name in LAWS],
+        "laws": [_law(name, rows, broken) for name in judge.LAWS],
         "outside": quantiles(rows["outside"]),
         "outside_limp": quantiles(rows["outside_limp"]),
         "single": _single(rows, broken, codes),
         "force": quantiles(rows["peak_force"]),
         "unsafe": quantiles(rows["live_unsafe_all"]),
-        "faults": [each for fault in FAULTS if (each := _fault(fault.name, rows, broken, codes))["n"]],
+        "faults": [each for fault in hostile.FAULTS if (each := _fault(fault.name, rows, broken, codes))["n"]],
         "next": _next(rows, codes),
     }
 
@@ -41,8 +37,14 @@ def figures(rows: Columns) -> Figures:
 def _law(name: str, rows: Columns, broken: list[set[str]]) -> Figures:
     """Return how often a law was broken, its bound, and the numbers of some dockings that broke it."""
     numbers = [int(number) for number, laws in zip(rows["number"], broken, strict=True) if name in laws]
-    bound = upper_bound(len(numbers), len(broken))
-    return {"name": name, "about": LAWS[name], "hits": len(numbers), "bound": bound, "examples": numbers[:_EXAMPLES]}
+    bound = summary.upper_bound(len(numbers), len(broken))
+    return {
+        "name": name,
+        "about": judge.LAWS[name],
+        "hits": len(numbers),
+        "bound": bound,
+        "examples": numbers[:_EXAMPLES],
+    }
 
 
 def _fault(name: str, rows: Columns, broken: list[set[str]], codes: list[list[str]]) -> Figures:
@@ -54,7 +56,7 @@ def _fault(name: str, rows: Columns, broken: list[set[str]], codes: list[list[st
         "n": len(acted),
         "codes": dict(Counter(code for index in acted for code in codes[index]).most_common()),
         "explained": explained / len(acted) if acted else 0.0,
-        "broken": dict(Counter(law for index in acted for law in LAWS if law in broken[index])),
+        "broken": dict(Counter(law for index in acted for law in judge.LAWS if law in broken[index])),
     }
 
 
@@ -72,14 +74,14 @@ def _single(rows: Columns, broken: list[set[str]], codes: list[list[str]]) -> di
 
 def _next(rows: Columns, codes: list[list[str]]) -> dict[str, int]:
     """Return the codes of the goals after the faults were removed, of dockings whose codes asked for no person."""
-    free = [index for index, each in enumerate(codes) if not set(each) & set(PERSON)]
+    free = [index for index, each in enumerate(codes) if not set(each) & set(judge.PERSON)]
     return dict(Counter(str(rows["next_code"][index]) or "none" for index in free).most_common())
 
 
 def targets(found: dict[str, Figures]) -> Iterator[dict[str, Any]]:
     """Yield the target of each law, over all hostile campaigns."""
     count = f"of {sum(each['n'] for each in found.values())}"
-    for index, name in enumerate(LAWS):
+    for index, name in enumerate(judge.LAWS):
         hits = sum(each["laws"][index]["hits"] for each in found.values()) if found else None
         yield none(f"hostile: {name}", hits, count)
     ended, named = (sum(each["single"][key] for each in found.values()) for key in ("n", "named"))

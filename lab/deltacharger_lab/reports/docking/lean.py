@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Dockings at leaning faces: by campaign, over yaw and pitch, with targets and bounds."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Iterator

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pictures of the docking report."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +8,7 @@ import numpy as np
 
 from deltacharger_bringup.records.replay.picture import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, RED
 from deltacharger_lab.plotting import Axes, picture, top_legend
-from deltacharger_lab.reports.docking import summary
-from deltacharger_lab.reports.docking.lean import MAP, MOST
-from deltacharger_lab.reports.docking.summary import Columns
+from deltacharger_lab.reports.docking import lean, summary
 
 NAME = "docking-lean.png"
 _KINDS = (
@@ -27,14 +23,14 @@ _MARKS_MOST = 5000  # marks of a panel
 
 def outcomes(results: dict[str, Any], path: Path) -> None:
     """Draw each docking of `MAP` at its yaw and pitch, marked by its result."""
-    rows = {name: results["rows"][name] for name in MAP if name in results["rows"]}
+    rows = {name: results["rows"][name] for name in lean.MAP if name in results["rows"]}
     about = "each mark one simulated docking; right: springs of the electrodes of 3e5 N/m instead of 3e4 and 1e5"
     with picture(path, 11.0, 5.9, "Leaning faces: charged and refused dockings", about) as figure:
-        panels = figure.subplots(1, len(MAP), sharex=True, sharey=True)
-        for axes, name in zip(panels, MAP, strict=True):
+        panels = figure.subplots(1, len(lean.MAP), sharex=True, sharey=True)
+        for axes, name in zip(panels, lean.MAP, strict=True):
             if name in rows:
                 _marks(axes, rows[name])
-            ends = (-1.04 * MOST, 1.04 * MOST)
+            ends = (-1.04 * lean.MOST, 1.04 * lean.MOST)
             axes.set(title=name if name in rows else f"{name}: not run", aspect="equal", xlim=ends, ylim=ends)
             axes.set_xlabel("yaw of the faces, °")
         panels[0].set_ylabel("pitch of the faces, °")
@@ -44,7 +40,7 @@ def outcomes(results: dict[str, Any], path: Path) -> None:
         top_legend(figure, handles, 2)
 
 
-def _marks(axes: Axes, rows: Columns) -> None:
+def _marks(axes: Axes, rows: summary.Columns) -> None:
     yaw, pitch = (np.degrees(rows[f"world.target.tilt_{axis}"].astype(float)) for axis in "yx")
     charged, leaning = rows["charged"].astype(bool), rows["code_name"] == "LEANING"
     aligned = rows["aligned"].astype(bool)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The campaigns of the docking report: scenes, counts, and forms of the algorithm."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,21 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs or continues the campaigns of the docking report, and writes page, figures and pictures."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from deltacharger_lab.campaigns.compare import compare_campaigns
+from deltacharger_lab.campaigns import compare, runner
 from deltacharger_lab.campaigns.docking import columns as docking_columns
-from deltacharger_lab.campaigns.runner import run_missing
 from deltacharger_lab.campaigns.scene import load_campaign_scene
 from deltacharger_lab.campaigns.store import CampaignSettings, Store, read_results, read_settings, scene_of, versions
-from deltacharger_lab.reports.docking import arms, hostile, lean, summary, targets
-from deltacharger_lab.reports.docking import plan as grounds
+from deltacharger_lab.reports.docking import arms, hostile, lean, plan as grounds, summary, targets
 from deltacharger_lab.reports.docking.pictures import FORMS, PICTURES, without
 from deltacharger_lab.reports.docking.plan import CampaignPart, DockingPlan
 from deltacharger_lab.reports.report import Progress, Report
@@ -62,7 +58,7 @@ def run(
             missing = store.missing()
             if missing:
                 record = progress(part, store.settings.n, len(store.done))
-                run_missing(store, workers, record, stop, log)
+                runner.run_missing(store, workers, record, stop, log)
         if stop():
             return False
     return True
@@ -153,5 +149,7 @@ def _uncharged(upright: summary.Columns) -> list[dict[str, Any]]:
 def _pairs(folders: dict[str, Path]) -> list[dict[str, Any]]:
     """Return the comparisons of campaigns on the same dockings."""
     return [
-        {"names": [a, b], **compare_campaigns(folders[a], folders[b])} for a, b in _PAIRS if {a, b} <= folders.keys()
+        {"names": [a, b], **compare.compare_campaigns(folders[a], folders[b])}
+        for a, b in _PAIRS
+        if {a, b} <= folders.keys()
     ]

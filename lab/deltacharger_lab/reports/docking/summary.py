@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Summary of a report's dockings: rates with intervals, refusals by cause, safety with its bound, targets."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections import Counter
@@ -14,10 +12,8 @@ from numpy.typing import NDArray
 
 from deltacharger_core.machine import GRAVITY_STRENGTH
 from deltacharger_lab.campaigns.docking import CRASHED
-from deltacharger_lab.campaigns.summary import quantiles as finite_quantiles
-from deltacharger_lab.campaigns.summary import upper_bound, wilson
-from deltacharger_lab.reports.formats import is_known
-from deltacharger_lab.reports.report import at_least, at_most, none
+from deltacharger_lab.campaigns.summary import quantiles as finite_quantiles, upper_bound, wilson
+from deltacharger_lab.reports import formats, report
 
 Array = NDArray[Any]
 Columns = dict[str, Array]
@@ -304,7 +300,7 @@ def targets(found: dict[str, dict[str, Any]], upright: dict[str, Any] | None) ->
         return None if of is None else 100.0 * float(of[key]["share"])
 
     def largest(key: str) -> float | None:
-        return max((most for each in guarded if is_known(most := each[key]["max"])), default=None)
+        return max((most for each in guarded if formats.is_known(most := each[key]["max"])), default=None)
 
     def unsafe(name: str) -> tuple[int | None, str]:
         hits = found[name]["unsafe"]["hits"] if name in found else None
@@ -322,19 +318,19 @@ def targets(found: dict[str, dict[str, Any]], upright: dict[str, Any] | None) ->
             for each in _limits(f"seconds to charging, {name}", found.get(name), "time", limits, "s")
         ),
         *_limits("moves, default", default, "moves", MOVES_MOST, ""),
-        at_least(f"charged, angle up to ±{UPRIGHT:g}°", share(upright, "charged"), 99.9, "%"),
-        at_least("charged, scenes at 8–11°", share(found.get("edge"), "charged"), 58.0, "%"),
-        at_least("at rest within 2.5 mm across the bars, default", share(default, "near_vertical"), 99.5, "%"),
-        at_least("at rest within 4 mm along the bars, default", share(default, "near_horizontal"), 99.5, "%"),
-        at_least("at rest within 2.5 mm in both axes, default", share(default, "near"), 94.0, "%"),
-        none("energised without clearance, random scenes", *unsafe("random")),
-        none("energised without clearance, scenes at 8–11°", *unsafe("edge")),
-        none("shorts, our algorithm", shorts, f"of {sum(each['n'] for each in guarded)}"),
-        at_least("contact current at rest in 0.4–0.5 A", _pooled(guarded, "in_band"), 100.0, "%"),
-        at_most("largest push of the servos in contact", largest("push"), PUSH_MOST, "N"),
-        at_most("hottest servo while charging, largest", largest("hottest"), HOTTEST_MOST, "A"),
+        report.at_least(f"charged, angle up to ±{UPRIGHT:g}°", share(upright, "charged"), 99.9, "%"),
+        report.at_least("charged, scenes at 8–11°", share(found.get("edge"), "charged"), 58.0, "%"),
+        report.at_least("at rest within 2.5 mm across the bars, default", share(default, "near_vertical"), 99.5, "%"),
+        report.at_least("at rest within 4 mm along the bars, default", share(default, "near_horizontal"), 99.5, "%"),
+        report.at_least("at rest within 2.5 mm in both axes, default", share(default, "near"), 94.0, "%"),
+        report.none("energised without clearance, random scenes", *unsafe("random")),
+        report.none("energised without clearance, scenes at 8–11°", *unsafe("edge")),
+        report.none("shorts, our algorithm", shorts, f"of {sum(each['n'] for each in guarded)}"),
+        report.at_least("contact current at rest in 0.4–0.5 A", _pooled(guarded, "in_band"), 100.0, "%"),
+        report.at_most("largest push of the servos in contact", largest("push"), PUSH_MOST, "N"),
+        report.at_most("hottest servo while charging, largest", largest("hottest"), HOTTEST_MOST, "A"),
         *_limits("strike, exact, default", found.get("strike"), "strike", STRIKE_MOST, "N"),
-        none("dockings that crashed", crashed, f"of {sum(each['n'] for each in found.values())}"),
+        report.none("dockings that crashed", crashed, f"of {sum(each['n'] for each in found.values())}"),
     ]
 
 
@@ -348,10 +344,10 @@ def _arms(
         ("true force in the told interval", "inside", inside),
     ):
         share = 100.0 * float(of[key]["share"]) if of and key in of else None
-        yield at_least(f"{what}, {name}", share, least, "%")
+        yield report.at_least(f"{what}, {name}", share, least, "%")
     if of is None or "kept" in of:
         count = f"of {of['charged']['hits'] if of else 0}"
-        yield none(f"undocked while touching, {name}", None if of is None else of["still_touching"], count)
+        yield report.none(f"undocked while touching, {name}", None if of is None else of["still_touching"], count)
 
 
 def _limits(
@@ -359,7 +355,7 @@ def _limits(
 ) -> Iterator[dict[str, Any]]:
     """Yield the target of each quantile that has a limit."""
     for which, most in limits.items():
-        yield at_most(f"{name}, {QUANTILES[which]}", None if of is None else of[key][which], most, unit)
+        yield report.at_most(f"{name}, {QUANTILES[which]}", None if of is None else of[key][which], most, unit)
 
 
 def _pooled(parts: list[dict[str, Any]], key: str) -> float | None:

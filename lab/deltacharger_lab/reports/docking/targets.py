@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Real targets: how each kind of port ended, packs with foreign profiles, and gaps in the current."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Iterator

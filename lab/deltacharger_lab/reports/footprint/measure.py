@@ -21,9 +21,8 @@ from rclpy.qos import QoSProfile, qos_profile_sensor_data
 
 from deltacharger_bringup.scenes.node_table import NODES
 from deltacharger_bringup.scenes.scene import Scene, SceneError, SceneGoal, load_scene, packaged_scenes
+from deltacharger_core.ros import messages, outcomes
 from deltacharger_core.ros.client import ChargerClient, ClientError
-from deltacharger_core.ros.messages import seconds
-from deltacharger_core.ros.outcomes import DockRequest, Pose
 
 if TYPE_CHECKING:
     import psutil
@@ -293,13 +292,13 @@ def missing(scene: Scene) -> str:
     return ""
 
 
-def electrodes(scene: Scene) -> Pose | None:
+def electrodes(scene: Scene) -> outcomes.Pose | None:
     """Return the pose of the electrodes in a scene's goal; None if its camera finds them.
 
     A scene on hardware gets the emulated target of the scene `simulated`, at the pose of its goal.
     """
     goal: SceneGoal | None = load_scene("simulated").goal if scene.touches_hardware else scene.goal
-    return None if goal is None else Pose(goal.x, goal.y, goal.z, goal.roll)
+    return None if goal is None else outcomes.Pose(goal.x, goal.y, goal.z, goal.roll)
 
 
 TOPICS = ("tactile_frame", "servo_state")
@@ -347,17 +346,17 @@ class Watcher:
             time.sleep(_POLL)
         return True
 
-    def dock(self, electrodes: Pose | None, deadline: float) -> str:
+    def dock(self, electrodes: outcomes.Pose | None, deadline: float) -> str:
         """Dock and return why it failed; '' if the robot charges."""
         try:
-            outcome = self._client.dock(DockRequest(electrodes), deadline=deadline)
+            outcome = self._client.dock(outcomes.DockRequest(electrodes), deadline=deadline)
         except ClientError as error:
             return str(error)
         return "" if outcome.success else f"{outcome.error_name}: {outcome.error_message}"
 
 
 def _keep(stamps: list[float], message: Any) -> None:
-    stamps.append(seconds(message.header.stamp))
+    stamps.append(messages.seconds(message.header.stamp))
 
 
 def _rate(stamps: list[float]) -> float:

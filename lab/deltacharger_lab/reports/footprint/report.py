@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measures the computing resources of a charger, scene by scene, and writes the report: figures as JSON and a page."""
 
-from __future__ import annotations
-
 import math
 import os
 import statistics

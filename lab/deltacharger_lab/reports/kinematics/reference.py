@@ -7,8 +7,6 @@ point is at most the rod and to its farthest point at least the rod. Both differ
 point's distance inside or outside reach is exact, too.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple

@@ -5,8 +5,6 @@ Closed forms, general solvers, extreme inputs and robots, and maps of the worksp
 1.0.0: docs/reports/kinematics.md keeps them.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math
@@ -23,9 +21,7 @@ import numpy as np
 from deltacharger_core.arrays import Array, Mask
 from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_lab.reports.kinematics import sets
-from deltacharger_lab.reports.kinematics.reference import DIGITS, Exact, ExactDelta
-from deltacharger_lab.reports.kinematics.sets import PointSet
+from deltacharger_lab.reports.kinematics import reference, sets
 from deltacharger_lab.reports.report import Progress, Report, at_least, at_most
 
 ARRAY, SCALAR = "Delta, array", "ScalarDelta"
@@ -141,16 +137,16 @@ def forward_solvers(geometry: DeltaGeometry) -> list[Solver]:
 class ErrorSample:
     """Points, or arm angles, with the exact answer to each and the answer of the other knees or the mirror image."""
 
-    points: PointSet
-    right: Exact
-    other: Exact
+    points: sets.PointSet
+    right: reference.Exact
+    other: reference.Exact
 
 
 Verdict = tuple[Array, Mask, Mask]
 """Per answer (n,): its error, NaN for no answer; whether it is missing; whether it is the other one."""
 
 
-def inverse_samples(exact: ExactDelta, plan: KinematicsPlan) -> list[ErrorSample]:
+def inverse_samples(exact: reference.ExactDelta, plan: KinematicsPlan) -> list[ErrorSample]:
     """Return the sets on which inverse kinematics is measured."""
     geometry = exact.geometry
     drawn = [
@@ -163,14 +159,14 @@ def inverse_samples(exact: ExactDelta, plan: KinematicsPlan) -> list[ErrorSample
     return [ErrorSample(each, *exact.inverse(each.points)) for each in drawn]
 
 
-def forward_samples(exact: ExactDelta, samples: Sequence[ErrorSample]) -> list[ErrorSample]:
+def forward_samples(exact: reference.ExactDelta, samples: Sequence[ErrorSample]) -> list[ErrorSample]:
     """Return the sets of arm angles for forward kinematics."""
-    mirror = ExactDelta(exact.geometry, ahead=False)
+    mirror = reference.ExactDelta(exact.geometry, ahead=False)
     drawn = [dataclasses.replace(each.points, points=each.right.high, edge=None) for each in samples]
     return [ErrorSample(each, exact.forward(each.points), mirror.forward(each.points)) for each in drawn]
 
 
-def describe(samples: Sequence[PointSet]) -> list[dict[str, Any]]:
+def describe(samples: Sequence[sets.PointSet]) -> list[dict[str, Any]]:
     """Return name, origin and counts of sets."""
     return [{"name": each.name, "about": each.about, "count": len(each.points)} for each in samples]
 
@@ -221,8 +217,8 @@ def accuracy(
 
 
 def reach_decisions(
-    solvers: Sequence[Solver], exact: ExactDelta, inside: PointSet, plan: KinematicsPlan
-) -> tuple[list[PointSet], dict[str, dict[str, int]]]:
+    solvers: Sequence[Solver], exact: reference.ExactDelta, inside: sets.PointSet, plan: KinematicsPlan
+) -> tuple[list[sets.PointSet], dict[str, dict[str, int]]]:
     """Return the sets, outside and inside reach, and each way's number of points on the wrong side."""
     drawn = [
         sets.outside(exact, plan.generator(6), plan.points, -15.0, -3.0),
@@ -254,10 +250,10 @@ def build(plan: KinematicsPlan, directory: Path, command: str, progress: Progres
         OSError: a file cannot be written.
     """
     geometry = DeltaGeometry()
-    exact = ExactDelta(geometry)  # first, so that a missing mpmath is reported at once
+    exact = reference.ExactDelta(geometry)  # first, so that a missing mpmath is reported at once
     report = Report("kinematics", command, ("numpy", "mpmath"))
     results, watch = report.results, plan.stopwatch
-    results |= {"digits": DIGITS, "seed": plan.seed, "points": plan.points}
+    results |= {"digits": reference.DIGITS, "seed": plan.seed, "points": plan.points}
     progress("drawing the sets, solving them to 60 digits")
     samples = inverse_samples(exact, plan)
     by_name = {sample.points.name: sample for sample in samples}

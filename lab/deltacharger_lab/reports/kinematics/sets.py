@@ -5,8 +5,6 @@ Points near the edge of reach are placed by geometry and then moved by a few uni
 distance to the edge, in 60 digits, is as wanted: 1e-17 m can only be met that way.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Impacts: peak force over contact stiffness, step, speed and servo stiffness, against the converged reference."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,20 +9,7 @@ from typing import Any
 from deltacharger_core.machine import MAGNET_FORCE, SERVO_STIFFNESS, STALL_CURRENT
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_lab.reports.formats import is_known
-from deltacharger_lab.reports.simulation.models import PEAK_LIMIT
-from deltacharger_lab.reports.simulation.reference import TOLERANCE, Order, angle, on_axis
-from deltacharger_lab.reports.simulation.scenes import (
-    MUJOCO,
-    MUJOCO_USUAL,
-    PATH_TICKS,
-    SAMPLE,
-    TICK,
-    TRAVEL,
-    SimulationPlan,
-    commanded,
-    model_world,
-    world,
-)
+from deltacharger_lab.reports.simulation import models, reference, scenes
 from deltacharger_sim.parameters import ContactParameters, MagnetParameters, WorldParameters
 from deltacharger_sim.world import World
 
@@ -35,7 +20,7 @@ _STANDS, _BEFORE = 0.2, 0.014  # s at rest, and m before the target, of a strike
 _AFTER = 0.12  # s after the last command
 _SOFT = 1e4  # N/m per electrode up to which strikes can reach the stop
 _GRAZING = 5e-5  # m of the stop's depth that must not matter
-_TOLERANCES, _TIGHTEST = (1e-5, 1e-6, TOLERANCE), 1e-11  # of the reference, compared with the tightest
+_TOLERANCES, _TIGHTEST = (1e-5, 1e-6, reference.TOLERANCE), 1e-11  # of the reference, compared with the tightest
 _SNAP_GAP = 0.0025  # m before the target, end of a snap's line: within every servo's unstable range
 
 
@@ -71,24 +56,24 @@ PRESSING = STRIKES[1]
 
 def axis_world(contact: float, servo: float = SERVO_STIFFNESS, magnets: float = MAGNET_FORCE) -> WorldParameters:
     """Return parameters of a charger on its axis, weightless and without gear friction."""
-    return world(contact, servo, friction=0.0, gravity_y=0.0, magnets=MagnetParameters(force=magnets))
+    return scenes.world(contact, servo, friction=0.0, gravity_y=0.0, magnets=MagnetParameters(force=magnets))
 
 
-def strike_orders(parameters: WorldParameters, strike: Strike) -> tuple[float, list[Order], float]:
+def strike_orders(parameters: WorldParameters, strike: Strike) -> tuple[float, list[reference.Order], float]:
     """Return the start (m), commands along the line, led by the lag, and the duration (s)."""
     servo, target = parameters.servo, parameters.target.z
     start, deeper = target - _BEFORE, 0.002 * (parameters.contact.stiffness <= _SOFT and strike.beyond > 0.0)
     way = _BEFORE + strike.beyond + deeper
     count, lag = math.ceil(way / (strike.speed * COMMANDS) - 1e-9), (servo.damping + servo.viscosity) / servo.stiffness
-    orders = [(0.0, angle(start)[0], STALL_CURRENT)]
+    orders = [(0.0, reference.angle(start)[0], STALL_CURRENT)]
     for index in range(count + 1):
-        theta, slope, _ = angle(start + min(strike.speed * COMMANDS * (index + 1), way))
+        theta, slope, _ = reference.angle(start + min(strike.speed * COMMANDS * (index + 1), way))
         ahead = lag * slope * strike.speed if index < count else 0.0
         orders.append((_STANDS + COMMANDS * index, theta + ahead, STALL_CURRENT))
     return start, orders, COMMANDS * round((_STANDS + _AFTER) / COMMANDS + count)
 
 
-def obey(moved: World, orders: Sequence[Order], duration: float, step: float) -> float:
+def obey(moved: World, orders: Sequence[reference.Order], duration: float, step: float) -> float:
     """Run a world with commands in steps of `step` s and return the largest force at an end of a step (N)."""
     sent, ends = 0, 0.0
     for index in range(round(duration / step)):
@@ -107,7 +92,7 @@ def strikes(contact: float, servo: float, steps: tuple[float, ...]) -> list[dict
     for strike in STRIKES:
         parameters = axis_world(contact, servo, strike.magnets)
         start, orders, duration = strike_orders(parameters, strike)
-        exact = on_axis(parameters, start, orders, duration).peak
+        exact = reference.on_axis(parameters, start, orders, duration).peak
         grazes = _grazes(parameters, start, orders, duration, exact)
         for step in steps:
             moved = World(parameters, start=(0.0, 0.0, start))
@@ -122,7 +107,9 @@ class _NearerStop(ContactParameters):
     hard_stop = ContactParameters.hard_stop - _GRAZING
 
 
-def _grazes(parameters: WorldParameters, start: float, orders: list[Order], duration: float, exact: float) -> bool:
+def _grazes(
+    parameters: WorldParameters, start: float, orders: list[reference.Order], duration: float, exact: float
+) -> bool:
     """Return whether the reference's own peak would change by more than the limit if the stop were 0.05 mm nearer.
 
     Soft electrodes may only just reach their stop; less than a step's path error decides whether they strike it.
@@ -131,20 +118,25 @@ def _grazes(parameters: WorldParameters, start: float, orders: list[Order], dura
     if contact.stiffness > _SOFT:
         return False
     nearer = replace(parameters, contact=_NearerStop(contact.stiffness, contact.friction))
-    return abs(on_axis(nearer, start, orders, duration).peak / exact - 1.0) > PEAK_LIMIT / 100.0
+    return abs(reference.on_axis(nearer, start, orders, duration).peak / exact - 1.0) > models.PEAK_LIMIT / 100.0
 
 
-def docking_orders() -> list[Order]:
+def docking_orders() -> list[reference.Order]:
     """Return the commands of `scenes.docking` on the axis: at rest at TRAVEL 1 s after leaving home, then its path."""
-    orders = [(0.0, angle(TRAVEL)[0], STALL_CURRENT)]
-    orders += [(1.0 + TICK * tick, angle(commanded(tick))[0], STALL_CURRENT) for tick in range(PATH_TICKS)]
+    orders = [(0.0, reference.angle(scenes.TRAVEL)[0], STALL_CURRENT)]
+    orders += [
+        (1.0 + scenes.TICK * tick, reference.angle(scenes.commanded(tick))[0], STALL_CURRENT)
+        for tick in range(scenes.PATH_TICKS)
+    ]
     return orders
 
 
 def axis_docking(contact: float, servo: float) -> dict[str, Any]:
     """Return path (list of m) and peak force (N) of `scenes.docking` without weight and gear friction, converged."""
-    found = on_axis(axis_world(contact, servo), 0.0, docking_orders(), 1.0 + PATH_TICKS * TICK, SAMPLE)
-    trace: list[Vector] = [(0.0, 0.0, z) for z in found.trace[round(1.0 / SAMPLE) :]]
+    found = reference.on_axis(
+        axis_world(contact, servo), 0.0, docking_orders(), 1.0 + scenes.PATH_TICKS * scenes.TICK, scenes.SAMPLE
+    )
+    trace: list[Vector] = [(0.0, 0.0, z) for z in found.trace[round(1.0 / scenes.SAMPLE) :]]
     return {"contact": contact, "servo": servo, "trace": trace, "peak": found.peak}
 
 
@@ -154,12 +146,12 @@ def others(name: str, contacts: tuple[float, ...], step: float) -> list[dict[str
     for contact in contacts:
         parameters = axis_world(contact)
         start, orders, duration = strike_orders(parameters, PRESSING)
-        moved = model_world(name, parameters, step)
+        moved = scenes.model_world(name, parameters, step)
         # It starts at home and reaches the start of the strike in one second.
         led = [orders[0], *((when + 1.0, goal, bound) for when, goal, bound in orders)]
         obey(moved, led, duration + 1.0, step)
         row = {"model": name, "contact": contact, "step": step, "peak": moved.record.peak_force}
-        rows.append(row | {"exact": on_axis(parameters, start, orders, duration).peak})
+        rows.append(row | {"exact": reference.on_axis(parameters, start, orders, duration).peak})
     return rows
 
 
@@ -169,9 +161,10 @@ def tolerances(contacts: tuple[float, ...]) -> list[dict[str, Any]]:
     for contact in contacts:
         parameters = axis_world(contact)
         strike = strike_orders(parameters, PRESSING)
-        best = on_axis(parameters, *strike, tolerance=_TIGHTEST).peak
+        best = reference.on_axis(parameters, *strike, tolerance=_TIGHTEST).peak
         changes = {
-            str(each): 100.0 * (on_axis(parameters, *strike, tolerance=each).peak / best - 1.0) for each in _TOLERANCES
+            str(each): 100.0 * (reference.on_axis(parameters, *strike, tolerance=each).peak / best - 1.0)
+            for each in _TOLERANCES
         }
         rows.append({"contact": contact, "peak": best, "percent": changes})
     return rows
@@ -189,7 +182,7 @@ def at_docking(rows: Sequence[dict[str, Any]], grazing: bool = True) -> float:
     return abs(worst([row for row in found if grazing or not row["grazes"]]))
 
 
-def tasks(plan: SimulationPlan, names: Sequence[str]) -> list[tuple[str, Any, tuple[Any, ...], float]]:
+def tasks(plan: scenes.SimulationPlan, names: Sequence[str]) -> list[tuple[str, Any, tuple[Any, ...], float]]:
     """Return name, function, arguments and weight of the section's work."""
     found: list[tuple[str, Any, tuple[Any, ...], float]] = [
         ("strikes", strikes, (contact, servo, plan.strike_steps), 1.0 + contact / 2e8)
@@ -197,7 +190,12 @@ def tasks(plan: SimulationPlan, names: Sequence[str]) -> list[tuple[str, Any, tu
         for servo in plan.strike_servos
     ]
     found.append(("tolerances", tolerances, ((min(plan.strike_contacts), 1e5, max(plan.strike_contacts)),), 5.0))
-    for name, step in ((MUJOCO, 1e-3), (MUJOCO, 1e-4), (MUJOCO_USUAL, 1e-3), (MUJOCO_USUAL, 1e-4)):
+    for name, step in (
+        (scenes.MUJOCO, 1e-3),
+        (scenes.MUJOCO, 1e-4),
+        (scenes.MUJOCO_USUAL, 1e-3),
+        (scenes.MUJOCO_USUAL, 1e-4),
+    ):
         if name in names:
             found.append(("others", others, (name, plan.strike_contacts, step), 0.005 / step))
     return found

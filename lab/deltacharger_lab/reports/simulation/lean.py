@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Leaning contacts: error against run time compared with MuJoCo, and rough treatment."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math
@@ -11,8 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from deltacharger_core.machine import SERVO_STIFFNESS
-from deltacharger_lab.reports.pool import ReportTask
-from deltacharger_lab.reports.report import at_least, at_most, none
+from deltacharger_lab.reports import pool, report
 from deltacharger_lab.reports.simulation import impact, models
 from deltacharger_lab.reports.simulation.scenes import LIGHT, MUJOCO, SimulationPlan, docking, rms, world
 from deltacharger_sim.parameters import PlatformParameters, TargetParameters, WorldParameters
@@ -127,15 +124,15 @@ def rough(contact: float, compliance: float, steps: tuple[float, ...]) -> list[d
     return rows
 
 
-def tasks(plan: SimulationPlan, names: tuple[str, ...]) -> Iterator[ReportTask]:
+def tasks(plan: SimulationPlan, names: tuple[str, ...]) -> Iterator[pool.ReportTask]:
     """Yield all work that needs no idle computer."""
     finest = _REFERENCE_STEP[plan.quick]
     for case in cases(plan):
-        yield ReportTask("lean", errors, (case, MUJOCO if MUJOCO in names else LIGHT, finest), 0.0004 / finest)
+        yield pool.ReportTask("lean", errors, (case, MUJOCO if MUJOCO in names else LIGHT, finest), 0.0004 / finest)
     for contact, compliance in itertools.product(plan.map_contacts, (0.0, 0.001, 0.1)):
         long = tuple(step for step in plan.map_steps if step >= _FINEST)
         steps = plan.map_steps[:1] + long if contact in (1e3, 1e6, 1e9) and not plan.quick else long
-        yield ReportTask("lean_rough", rough, (contact, compliance, steps), 0.0001 / steps[0])
+        yield pool.ReportTask("lean_rough", rough, (contact, compliance, steps), 0.0001 / steps[0])
 
 
 def targets(results: dict[str, Any]) -> list[dict[str, Any]]:
@@ -147,9 +144,9 @@ def targets(results: dict[str, Any]) -> list[dict[str, Any]]:
     worst = impact.worst(modest, "rms_mm", step=TARGET_STEP)
     lost = sum(not row["ok"] for row in results["lean_rough"])
     return [
-        at_least("light model at 10 ms with lean and compliance, in motion, slowest", slowest, 500.0, "× real"),
-        at_most("the same, position, leans to 3°, worst", worst, 0.15, "mm rms"),
-        none("leaning contacts that diverge or do not rest", lost, f"of {len(results['lean_rough'])}"),
+        report.at_least("light model at 10 ms with lean and compliance, in motion, slowest", slowest, 500.0, "× real"),
+        report.at_most("the same, position, leans to 3°, worst", worst, 0.15, "mm rms"),
+        report.none("leaning contacts that diverge or do not rest", lost, f"of {len(results['lean_rough'])}"),
     ]
 
 

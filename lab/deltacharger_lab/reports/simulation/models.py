@@ -1,32 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Error against run time of every model, integrator and step, and complete dockings."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import time
 from typing import Any
 
-from deltacharger_lab.reports.simulation.scenes import (
-    COMPARED,
-    LIGHT,
-    MUJOCO,
-    PUSH,
-    Arm,
-    SimulationPlan,
-    docking,
-    model_world,
-    rms,
-    settled_exactly,
-    was_reset,
-    world,
-)
+from deltacharger_lab.reports.simulation import scenes
 from deltacharger_sim.parameters import TargetParameters, WorldParameters
 
 _MOST_RUNS = 200  # of one timing
-WITH_FRICTION = world()
-WITHOUT = world(friction=0.0, gravity_y=0.0)
+WITH_FRICTION = scenes.world()
+WITHOUT = scenes.world(friction=0.0, gravity_y=0.0)
 TARGETS = {
     1: TargetParameters(x=0.003, y=-0.002, roll=0.035),
     2: TargetParameters(x=-0.004, y=0.003, z=0.083, roll=-0.07),
@@ -38,7 +23,11 @@ TARGETS = {
 
 def both(name: str, step: float) -> dict[str, Any]:
     """Return the docking of a model with friction and weight (`rubbing`) and without (`free`)."""
-    return {"name": name, "rubbing": docking(name, WITH_FRICTION, step), "free": docking(name, WITHOUT, step)}
+    return {
+        "name": name,
+        "rubbing": scenes.docking(name, WITH_FRICTION, step),
+        "free": scenes.docking(name, WITHOUT, step),
+    }
 
 
 def errors(name: str, step: float, exact: dict[str, Any]) -> dict[str, Any]:
@@ -47,12 +36,12 @@ def errors(name: str, step: float, exact: dict[str, Any]) -> dict[str, Any]:
     The peak is that of the docking without friction and weight, against the converged one of `exact["axis"]`.
     """
     found = both(name, step)
-    force = settled_exactly(WITHOUT, PUSH)
+    force = scenes.settled_exactly(WITHOUT, scenes.PUSH)
     return {
         "model": name,
         "step": step,
-        "rms_mm": 1000.0 * rms(found["rubbing"]["trace"], exact["rubbing"]["trace"]),
-        "rms_free_mm": 1000.0 * rms(found["free"]["trace"], exact["free"]["trace"]),
+        "rms_mm": 1000.0 * scenes.rms(found["rubbing"]["trace"], exact["rubbing"]["trace"]),
+        "rms_free_mm": 1000.0 * scenes.rms(found["free"]["trace"], exact["free"]["trace"]),
         "peak_percent": 100.0 * (found["free"]["peak"] / exact["axis"]["peak"] - 1.0),
         "force_percent": 100.0 * (found["free"]["force"] / force - 1.0),
         "force_rubbing": found["rubbing"]["force"],
@@ -61,7 +50,7 @@ def errors(name: str, step: float, exact: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def times(plan: SimulationPlan, names: tuple[str, ...]) -> list[dict[str, Any]]:
+def times(plan: scenes.SimulationPlan, names: tuple[str, ...]) -> list[dict[str, Any]]:
     """Return each model's speed relative to real time, in motion and in total; the fastest of the repeats."""
     rows = []
     for name, step in itertools.product(names, plan.steps):
@@ -70,7 +59,7 @@ def times(plan: SimulationPlan, names: tuple[str, ...]) -> list[dict[str, Any]]:
         while len(runs) < (plan.repeats if step >= 1e-3 else 1) or (
             time.process_time() - began < plan.timing_s and len(runs) < _MOST_RUNS
         ):
-            runs.append(docking(name, WITH_FRICTION, step))
+            runs.append(scenes.docking(name, WITH_FRICTION, step))
         row = {"model": name, "step": step, "runs": len(runs)}
         rows.append({**row, "moving": max(run["moving"] for run in runs), "all": max(run["all"] for run in runs)})
     return rows
@@ -88,10 +77,10 @@ def complete_docking(name: str, step: float, number: int) -> dict[str, Any]:
     from deltacharger_sim.virtual.virtual_charger import VirtualCharger
     from deltacharger_sim.world import SharedWorld
 
-    parameters = WorldParameters(servo=COMPARED, target=TARGETS[number])
+    parameters = WorldParameters(servo=scenes.COMPARED, target=TARGETS[number])
     tactile = ContactSource(None, 900, number)
     charger = VirtualCharger(parameters, seed=number, tactile=tactile)
-    if name != LIGHT:
+    if name != scenes.LIGHT:
         from deltacharger_lab.mujoco.world import mujoco_world
 
         charger.world = mujoco_world(parameters, tactile, number, step=min(step, 1e-3), integrator=name.split()[-1])
@@ -116,11 +105,11 @@ def complete_docking(name: str, step: float, number: int) -> dict[str, Any]:
     }
 
 
-def docking_cases(plan: SimulationPlan, names: tuple[str, ...]) -> list[tuple[str, float, int]]:
+def docking_cases(plan: scenes.SimulationPlan, names: tuple[str, ...]) -> list[tuple[str, float, int]]:
     """Return (model, step, docking) of all complete dockings: light model at all steps, MuJoCo in steps of 1 ms."""
-    cases = [(LIGHT, step, number) for step in plan.docking_steps for number in plan.dockings]
-    if MUJOCO in names:
-        cases += [(MUJOCO, 5e-3, number) for number in plan.dockings]
+    cases = [(scenes.LIGHT, step, number) for step in plan.docking_steps for number in plan.dockings]
+    if scenes.MUJOCO in names:
+        cases += [(scenes.MUJOCO, 5e-3, number) for number in plan.dockings]
     return cases
 
 
@@ -133,14 +122,14 @@ def column(
     name: str, servo: float, contact: float, steps: tuple[float, ...], exact: dict[str, Any]
 ) -> list[dict[str, Any]]:
     """Return the points of a servo and contact stiffness, judged against the converged reference's path and peak."""
-    parameters = world(contact, servo, friction=0.0, gravity_y=0.0)
-    force = settled_exactly(parameters, PUSH)
+    parameters = scenes.world(contact, servo, friction=0.0, gravity_y=0.0)
+    force = scenes.settled_exactly(parameters, scenes.PUSH)
     points = []
     for step in steps:
-        found = docking(name, parameters, step)
+        found = scenes.docking(name, parameters, step)
         rough = roughly(name, servo, contact, step)
         off = 100.0 * abs(found["force"] / force - 1.0)
-        path = 1000.0 * rms(found["trace"], exact["trace"])
+        path = 1000.0 * scenes.rms(found["trace"], exact["trace"])
         point = {"model": name, "servo": servo, "contact": contact, "step": step, "force_percent": off}
         peak = 100.0 * (found["peak"] / exact["peak"] - 1.0)
         point |= {"path_mm": path, "peak_percent": peak, "speed": found["speed"], **rough}
@@ -164,7 +153,7 @@ def roughly(name: str, servo: float, contact: float, step: float, **changes: Any
     Returns:
         bounded (whether every number stayed finite and bounded), imbalance (worst, N).
     """
-    arm = Arm(model_world(name, world(contact, servo, **changes), step), step)
+    arm = scenes.Arm(scenes.model_world(name, scenes.world(contact, servo, **changes), step), step)
     bounded, imbalance = True, 0.0
     stages: tuple[tuple[tuple[float, float, float] | None, float], ...] = (
         ((0.0, 0.0, 0.05), 0.5),
@@ -180,7 +169,7 @@ def roughly(name: str, servo: float, contact: float, step: float, **changes: Any
             arm.aim(point)
         for _ in range(max(1, round(seconds / max(step, 0.005)))):
             arm.run(max(step, 0.005))
-            bounded = bounded and arm.is_bounded() and not was_reset(arm.world)
+            bounded = bounded and arm.is_bounded() and not scenes.was_reset(arm.world)
             imbalance = max(imbalance, arm.world.mechanics.imbalance)
         if not bounded:
             break

@@ -13,8 +13,6 @@ Everything is smooth between touch, stop, saturation, slip and commands; each of
 contact's period. The report has the change by a tolerance a thousand times tighter.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

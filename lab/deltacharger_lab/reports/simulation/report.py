@@ -2,8 +2,6 @@
 """Measures the simulated charger's mechanics and writes the report: figures as JSON, a page, pictures, the package's
 map."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,29 +9,17 @@ from typing import Any
 from deltacharger_bringup.records.replay.picture import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, RED
 from deltacharger_core.machine import SERVO_STIFFNESS
 from deltacharger_lab.plotting import Axes, note, picture
-from deltacharger_lab.reports.formats import fixed, tens
-from deltacharger_lab.reports.pool import ReportTask, joined, work
+from deltacharger_lab.reports import formats, pool
 from deltacharger_lab.reports.report import Progress, Report, at_least, at_most, none
-from deltacharger_lab.reports.simulation import impact, lean, models
-from deltacharger_lab.reports.simulation.models import DIVERGED, FORCE_LIMIT, PEAK_LIMIT
-from deltacharger_lab.reports.simulation.scenes import (
-    LIGHT,
-    MUJOCO,
-    MUJOCO_FAST,
-    MUJOCO_USUAL,
-    SimulationPlan,
-    absent,
-    models_here,
-    rms,
-)
+from deltacharger_lab.reports.simulation import impact, lean, models, scenes
 
-_COLOURS = {LIGHT: BLUE, MUJOCO: ORANGE, MUJOCO_FAST: GREEN, MUJOCO_USUAL: PURPLE}
+_COLOURS = {scenes.LIGHT: BLUE, scenes.MUJOCO: ORANGE, scenes.MUJOCO_FAST: GREEN, scenes.MUJOCO_USUAL: PURPLE}
 _FLOOR = 1e-7  # % of force error, drawn for smaller ones
 _DIVERGED_AT = 30.0  # mm, where a diverged run is drawn
 
 
 def _error_time(results: dict[str, Any], path: Path) -> None:
-    known = "MuJoCo" if MUJOCO in results["models"] else "the light model"
+    known = "MuJoCo" if scenes.MUJOCO in results["models"] else "the light model"
     finest = f"{1000.0 * results['reference_step']:g} ms"
     about = f"1.2 s of docking with friction against {known} in steps of {finest}; each point is a step, in ms"
     with picture(path, 13.5, 5.0, "Error against run time", about) as figure:
@@ -48,8 +34,8 @@ def _error_time(results: dict[str, Any], path: Path) -> None:
         left.axvline(2.0, color=RED, linewidth=1.0, linestyle="--")
         left.text(2.2, 5e-3, "targets: 0.15 mm,\n500 × real time", color=RED, fontsize=8, va="top", ha="left")
         middle.set_ylim(1e-2, 200.0)
-        middle.axhline(PEAK_LIMIT, color=RED, linewidth=1.0, linestyle="--")
-        right.axhline(FORCE_LIMIT, color=RED, linewidth=1.0, linestyle="--")
+        middle.axhline(models.PEAK_LIMIT, color=RED, linewidth=1.0, linestyle="--")
+        right.axhline(models.FORCE_LIMIT, color=RED, linewidth=1.0, linestyle="--")
         right.text(0.98, 0.7, "target: 0.5 %", color=RED, fontsize=8, ha="right", transform=right.get_yaxis_transform())
         right.plot([], [], "x", color=FAINT, label="diverged or restless")
         right.legend(loc=(0.02, 0.26), fontsize=8)
@@ -82,7 +68,7 @@ def _map(results: dict[str, Any], path: Path) -> None:
             values = [[float("nan")] * len(steps) for _ in contacts]
             for point in points:
                 column, row = steps.index(point["step"]), contacts.index(point["contact"])
-                if point["cell"] == DIVERGED:
+                if point["cell"] == models.DIVERGED:
                     axes.plot(column, row, "x", color=RED, markersize=7)
                     continue
                 values[row][column] = max(point["path_mm"], 1e-3)
@@ -90,7 +76,7 @@ def _map(results: dict[str, Any], path: Path) -> None:
                 axes.text(column, row, f"{point['path_mm']:.2g}", ha="center", va="center", fontsize=6, color=colour)
             axes.imshow(values, origin="lower", aspect="auto", cmap="viridis", norm=LogNorm(1e-3, 1.0))
             axes.set_xticks(range(len(steps)), [f"{1000.0 * step:g}" for step in steps], fontsize=7)
-            axes.set_yticks(range(len(contacts)), [tens(each) for each in contacts] if not index else [])
+            axes.set_yticks(range(len(contacts)), [formats.tens(each) for each in contacts] if not index else [])
             axes.set(title=name, xlabel="step, ms")
             axes.grid(visible=False)
         rows[0].set_ylabel("contact stiffness, N/m per electrode")
@@ -106,7 +92,7 @@ TARGET_STEP = 0.01  # s
 PEAKS = "peak force at the steps docking uses (5 to 20 ms), contact ≤ 1e6 N/m, worst"
 
 
-def build(plan: SimulationPlan, directory: Path, command: str, progress: Progress) -> dict[str, Any]:
+def build(plan: scenes.SimulationPlan, directory: Path, command: str, progress: Progress) -> dict[str, Any]:
     """Measure, write page, figures, pictures and the module with the map into `directory`, and return the figures.
 
     Raises:
@@ -115,11 +101,11 @@ def build(plan: SimulationPlan, directory: Path, command: str, progress: Progres
         KeyboardInterrupt: interrupted; nothing was written.
     """
     report = Report("simulation", command, ("mujoco", "numpy", "scipy", "matplotlib"), measures_with=["scipy"])
-    results, names = report.results, models_here()
+    results, names = report.results, scenes.models_here()
     results |= {
         "quick": plan.quick,
         "models": list(names),
-        "absent": absent(),
+        "absent": scenes.absent(),
         "steps": list(plan.steps),
         "reference_step": plan.reference_step,
     }
@@ -133,62 +119,64 @@ def build(plan: SimulationPlan, directory: Path, command: str, progress: Progres
     return report.write(directory, is_calm=is_calm, settled=settled, ends=ends, stability=models, impact=impact)
 
 
-def _measure(results: dict[str, Any], plan: SimulationPlan, names: tuple[str, ...], progress: Progress) -> None:
+def _measure(results: dict[str, Any], plan: scenes.SimulationPlan, names: tuple[str, ...], progress: Progress) -> None:
     """Put the measurements into `results`."""
-    known = MUJOCO if MUJOCO in names else LIGHT
+    known = scenes.MUJOCO if scenes.MUJOCO in names else scenes.LIGHT
     first = [
-        ReportTask("reference", models.both, (name, plan.reference_step)) for name in names if name in (LIGHT, MUJOCO)
+        pool.ReportTask("reference", models.both, (name, plan.reference_step))
+        for name in names
+        if name in (scenes.LIGHT, scenes.MUJOCO)
     ]
     first += [
-        ReportTask("axis", impact.axis_docking, (contact, servo), 0.1 + contact / 1e9)
+        pool.ReportTask("axis", impact.axis_docking, (contact, servo), 0.1 + contact / 1e9)
         for contact in sorted({*plan.map_contacts, 1e5})
         for servo in sorted({*plan.map_servos, SERVO_STIFFNESS})
     ]
-    begun = work(first, progress)
+    begun = pool.work(first, progress)
     references, axis = begun["reference"], {(each["contact"], each["servo"]): each for each in begun["axis"]}
     exact = next(each for each in references if each["name"] == known)
     exact["axis"] = axis[1e5, SERVO_STIFFNESS]
-    found = work(tasks(plan, names, exact, axis), progress)
+    found = pool.work(tasks(plan, names, exact, axis), progress)
     paths = [each["rubbing"]["trace"] for each in references]
-    results["references_apart_mm"] = 1000.0 * rms(*paths) if len(paths) == 2 else None
+    results["references_apart_mm"] = 1000.0 * scenes.rms(*paths) if len(paths) == 2 else None
     for name in ("errors", "dockings"):
         results[name] = found[name]
     for name in ("map", "strikes", "others", "lean", "lean_rough"):
-        results[name] = joined(found.get(name, []))
+        results[name] = pool.joined(found.get(name, []))
     results["tolerances"] = found["tolerances"][0]
 
 
 def tasks(
-    plan: SimulationPlan,
+    plan: scenes.SimulationPlan,
     names: tuple[str, ...],
     exact: dict[str, Any],
     axis: dict[tuple[float, float], dict[str, Any]],
-) -> list[ReportTask]:
+) -> list[pool.ReportTask]:
     """Return all work that needs no idle computer; `axis` has the converged dockings by contact and servo stiffness."""
-    found = [ReportTask(*each) for each in impact.tasks(plan, names)]
+    found = [pool.ReportTask(*each) for each in impact.tasks(plan, names)]
     for name in names:
         for step in plan.steps:
-            found.append(ReportTask("errors", models.errors, (name, step, exact), 0.0005 / step))
-        servos = plan.map_servos if name == LIGHT else (SERVO_STIFFNESS,)
+            found.append(pool.ReportTask("errors", models.errors, (name, step, exact), 0.0005 / step))
+        servos = plan.map_servos if name == scenes.LIGHT else (SERVO_STIFFNESS,)
         for servo in servos:
             for contact in plan.map_contacts:
                 arguments = (name, servo, contact, plan.map_steps, axis[contact, servo])
-                found.append(ReportTask("map", models.column, arguments, 0.0002 / plan.map_steps[0]))
+                found.append(pool.ReportTask("map", models.column, arguments, 0.0002 / plan.map_steps[0]))
     for case in models.docking_cases(plan, names):
-        found.append(ReportTask("dockings", models.complete_docking, case, 2.0))
+        found.append(pool.ReportTask("dockings", models.complete_docking, case, 2.0))
     return [*found, *lean.tasks(plan, names)]
 
 
 def targets(results: dict[str, Any]) -> list[dict[str, Any]]:
     """Return every target with its measured value and verdict."""
-    light = [point for point in results["map"] if point["model"] == LIGHT]
+    light = [point for point in results["map"] if point["model"] == scenes.LIGHT]
     at = [
         point
         for point in light
         if point["step"] == TARGET_STEP and 1e3 <= point["contact"] <= 1e7 and point["servo"] == SERVO_STIFFNESS
     ]
-    error = next(row for row in results["errors"] if row["model"] == LIGHT and row["step"] == TARGET_STEP)
-    speed = next(row for row in results["times"] if row["model"] == LIGHT and row["step"] == TARGET_STEP)
+    error = next(row for row in results["errors"] if row["model"] == scenes.LIGHT and row["step"] == TARGET_STEP)
+    speed = next(row for row in results["times"] if row["model"] == scenes.LIGHT and row["step"] == TARGET_STEP)
     diverged = sum(point["cell"] == models.DIVERGED for point in light)
     forces = max(point["force_percent"] for point in at)
     peaks = impact.at_docking(results["strikes"], grazing=False)
@@ -223,4 +211,4 @@ def ends(runs: Sequence[dict[str, Any]]) -> list[str]:
     charged = [run for run in runs if run["code"] == "NONE"]
     columns = (("elapsed", 1), ("current", 3), ("rest_mm", 2))
     means = (sum(run[key] for run in charged) / len(charged) if charged else None for key, _ in columns)
-    return [codes, *(fixed(mean, digits) for mean, (_, digits) in zip(means, columns, strict=True))]
+    return [codes, *(formats.fixed(mean, digits) for mean, (_, digits) in zip(means, columns, strict=True))]

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Common parts of the simulation report: the models, an arm commanded by platform positions, and a docking."""
 
-from __future__ import annotations
-
 import functools
 import importlib.util
 import logging
@@ -13,8 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from deltacharger_core.machine import SERVO_STIFFNESS, STALL_CURRENT, TORQUE_CONSTANT
-from deltacharger_kinematics.geometry import Vector
-from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_kinematics import geometry, scalar
 from deltacharger_lab.mujoco.world import MujocoMechanics, mujoco_world
 from deltacharger_sim.pads import approach
 from deltacharger_sim.parameters import ContactParameters, ServoParameters, WorldParameters
@@ -50,7 +47,7 @@ def was_reset(world: World) -> bool:
     return data is not None and any(int(warning.number) for warning in data.warning)
 
 
-DELTA = ScalarDelta()
+DELTA = scalar.ScalarDelta()
 LIGHT = "light"
 TICK = 0.1  # s between commands of the docking; every step of the report divides it
 SAMPLE = 0.01  # s between compared positions, if the step allows
@@ -76,12 +73,12 @@ class Arm:
     def __init__(self, world: World, step: float) -> None:
         self.world = world
         self.step = step
-        self.trace: list[Vector] = []
+        self.trace: list[geometry.Vector] = []
         self.used = 0.0
         values = world.parameters
         self.gravity = (values.gravity_x, values.gravity_y, values.gravity_z)
 
-    def aim(self, point: Vector, bound: float = STALL_CURRENT, lead: bool = True) -> None:
+    def aim(self, point: geometry.Vector, bound: float = STALL_CURRENT, lead: bool = True) -> None:
         """Command all servos toward `point` (m, charger_base) with at most `bound` A each."""
         held = DELTA.holding_torque(*point, self.gravity) if lead else (0.0, 0.0, 0.0)
         stiffness = self.world.parameters.servo.stiffness
@@ -108,7 +105,7 @@ class Arm:
                 self.trace.append(self.world.mechanics.position)
         self.used += time.process_time() - started
 
-    def go(self, point: Vector, seconds: float = 1.0, bound: float = STALL_CURRENT, lead: bool = True) -> None:
+    def go(self, point: geometry.Vector, seconds: float = 1.0, bound: float = STALL_CURRENT, lead: bool = True) -> None:
         """Aim and wait."""
         self.aim(point, bound, lead)
         self.run(seconds)
@@ -186,7 +183,7 @@ def _contact_model() -> ContactModel:
     return ContactModel()
 
 
-def rms(trace: Sequence[Vector], exact: Sequence[Vector]) -> float:
+def rms(trace: Sequence[geometry.Vector], exact: Sequence[geometry.Vector]) -> float:
     """Return the rms distance (m) of positions from those of a finer or equal sampling of the same time."""
     every = len(exact) // len(trace)
     squares = [math.dist(place, exact[(index + 1) * every - 1]) ** 2 for index, place in enumerate(trace)]

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Trains, judges and times every model on one rig: accuracy, shifts, reliability, confusion, run time."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import math
@@ -17,12 +15,7 @@ import numpy as np
 from deltacharger_core.arrays import Array, Mask
 from deltacharger_lab.reports.tactile import second
 from deltacharger_lab.reports.tactile.plan import SETS, TARGETS, TactilePlan, kind, threshold
-from deltacharger_lab.training import labels, splits
-from deltacharger_lab.training.classifier import TrainableClassifier
-from deltacharger_lab.training.inputs import NAMES
-from deltacharger_lab.training.judgement import evaluate_classifier
-from deltacharger_lab.training.labels import Examples
-from deltacharger_lab.training.reliability import WINDOW
+from deltacharger_lab.training import classifier, inputs, judgement, labels, reliability, splits
 from deltacharger_sim.pads import Rig, generate_paper, measure
 from deltacharger_tactile.classifiers.classifier import Classifier, classes
 from deltacharger_tactile.dataset import SUBSET_ANGLE, SUBSET_POSITION, Dataset
@@ -121,9 +114,9 @@ def dock_again(known: Dataset, shift: Shift, rig: int, seed: int, rows: Mask) ->
 
 BINS = 10
 """Bins of the predicted probability in the reliability diagrams."""
-WINDOWS = (WINDOW, 2 * WINDOW)
+WINDOWS = (reliability.WINDOW, 2 * reliability.WINDOW)
 """Dockings in one window of the drift check."""
-PAPER = tuple(name for name in NAMES if kind(name) != "physical")
+PAPER = tuple(name for name in inputs.NAMES if kind(name) != "physical")
 _WARM_UP = 20  # predictions that are not counted
 _PASSES = 300  # forward passes; their median counts
 
@@ -133,12 +126,12 @@ def paper_set(rig: int, seed: int) -> Dataset:
     return generate_paper(rigs=(rig,), seed=seed, threshold=0.0)
 
 
-def fitted(name: str, target: str, rows: Examples, seed: int) -> TrainableClassifier:
+def fitted(name: str, target: str, rows: labels.Examples, seed: int) -> classifier.TrainableClassifier:
     """Return a model trained on examples, with its usual threshold."""
-    return TrainableClassifier(name, target, threshold(name)).fit(rows.frames, rows.labels, seed)
+    return classifier.TrainableClassifier(name, target, threshold(name)).fit(rows.frames, rows.labels, seed)
 
 
-def accuracy(model: Classifier, rows: Examples) -> float:
+def accuracy(model: Classifier, rows: labels.Examples) -> float:
     """Return the share of examples that a model classifies correctly."""
     return float(np.mean(model.predict(rows.frames) == rows.labels))
 
@@ -182,7 +175,7 @@ def judge_rig(rig: int, seed: int, part: str, plan: TactilePlan, keep: str) -> d
 def _judge_shifts(
     models: second.Models, known: Dataset, part: str, device: tuple[int, int], plan: TactilePlan
 ) -> dict[str, list[dict[str, Any]]]:
-    def drifted(model: TrainableClassifier, rows: Examples) -> list[float]:
+    def drifted(model: classifier.TrainableClassifier, rows: labels.Examples) -> list[float]:
         return [_windows(model, rows, size, plan.windows) for size in WINDOWS]
 
     found: dict[str, list[dict[str, Any]]] = {"shifts": [], "diagrams": []}
@@ -195,7 +188,7 @@ def _judge_shifts(
             if model.threshold not in windows:
                 windows[model.threshold] = drifted(model, rows)
             where = {"rig": device[0], "seed": device[1], "target": target, "model": name}
-            result = evaluate_classifier(model, rows)
+            result = judgement.evaluate_classifier(model, rows)
             found["shifts"].append({**where, "shift": shift.name, **result, "windows": windows[model.threshold]})
             if shift is NONE:
                 found["diagrams"].append({**where, **_diagram(model, rows)})
@@ -203,7 +196,7 @@ def _judge_shifts(
     return found
 
 
-def _windows(model: TrainableClassifier, rows: Examples, size: int, count: int) -> float:
+def _windows(model: classifier.TrainableClassifier, rows: labels.Examples, size: int, count: int) -> float:
     """Return the share of windows of `size` dockings, drawn from the examples, that look unlike training."""
     assert model.reliability is not None
     random = np.random.default_rng(size)
@@ -212,7 +205,7 @@ def _windows(model: TrainableClassifier, rows: Examples, size: int, count: int) 
     return float(np.mean(result))
 
 
-def _diagram(model: Classifier, rows: Examples) -> dict[str, Any]:
+def _diagram(model: Classifier, rows: labels.Examples) -> dict[str, Any]:
     """Return counts of the winning class's probability and how often it was right, and the confusion matrix."""
     shares = model.predict_proba(rows.frames)
     winner, sure = shares.argmax(axis=1), shares.max(axis=1)
@@ -235,7 +228,7 @@ def predictions(plan: TactilePlan, kept: str) -> list[dict[str, Any]]:
     for target in TARGETS:
         frames = labels.examples(data, target).frames
         for name in plan.names:
-            model = TrainableClassifier.load(Path(kept) / f"{name}-{target}.npz")
+            model = classifier.TrainableClassifier.load(Path(kept) / f"{name}-{target}.npz")
             times = np.array(
                 [_timed(model.predict_proba, frames[index % len(frames)]) for index in range(plan.repeats + _WARM_UP)]
             )

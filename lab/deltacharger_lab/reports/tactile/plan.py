@@ -1,14 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Plan of the tactile report: models, rigs, seeds, shifts; and missing libraries."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from importlib.util import find_spec
 
 from deltacharger_core.machine import CONTACT_FORCE
-from deltacharger_lab.training.classifier import DEFAULT, TRAINERS
-from deltacharger_lab.training.inputs import NAMES
+from deltacharger_lab.training import classifier, inputs
 from deltacharger_tactile.estimator import THRESHOLD
 
 TARGETS = ("angle", "vertical", "horizontal")
@@ -49,7 +46,7 @@ class TactilePlan:
 
 def full_plan(seed: int) -> TactilePlan:
     """Return the default plan: 10 rigs, each docked once through the protocol."""
-    names = _trainable(tuple(NAMES))
+    names = _trainable(tuple(inputs.NAMES))
     judged = _trainable(("forest", "cnn", "lda", "pose"))
     seeds = (3 * seed,)
     rigs = tuple(range(860, 870))
@@ -65,7 +62,7 @@ def quick_plan(seed: int) -> TactilePlan:
 
 def default(plan: TactilePlan) -> str:
     """Return the default estimator, or the best of those that can be trained here; '' for none."""
-    return next((name for name in (DEFAULT, "lda", *plan.names) if name in plan.names), "")
+    return next((name for name in (classifier.DEFAULT, "lda", *plan.names) if name in plan.names), "")
 
 
 def title(name: str) -> str:
@@ -75,12 +72,12 @@ def title(name: str) -> str:
 
 def kind(name: str) -> str:
     """Return the kind of a model: a key of `KINDS`."""
-    return TRAINERS[name] if NAMES[name] == "taxels" else "physical"
+    return classifier.TRAINERS[name] if inputs.NAMES[name] == "taxels" else "physical"
 
 
 def threshold(name: str) -> float:
     """Return the threshold of a model's readings, N: the paper's 1 N, or that of the packaged pose model."""
-    return THRESHOLD if NAMES[name] == "pose" else CONTACT_FORCE
+    return THRESHOLD if inputs.NAMES[name] == "pose" else CONTACT_FORCE
 
 
 def absent() -> dict[str, str]:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measures the classifiers of misalignment and writes the report: figures as JSON, a page, pictures."""
 
-from __future__ import annotations
-
 import math
 import tempfile
 from collections import defaultdict
@@ -14,8 +12,7 @@ import numpy as np
 
 from deltacharger_bringup.records.replay.picture import BLUE, FAINT, GREEN, INK, ORANGE
 from deltacharger_lab.plotting import Axes, note, picture, plain_ticks, top_legend
-from deltacharger_lab.reports.formats import grouped
-from deltacharger_lab.reports.pool import ReportTask, joined, work
+from deltacharger_lab.reports import formats, pool
 from deltacharger_lab.reports.report import Progress, Report, at_least, at_most, none
 from deltacharger_lab.reports.tactile import second
 from deltacharger_lab.reports.tactile.measure import BINS, NONE, WINDOWS, judge_rig, timing
@@ -278,16 +275,16 @@ def build(plan: TactilePlan, directory: Path, command: str, progress: Progress) 
 
 def _measure(results: dict[str, Any], plan: TactilePlan, progress: Progress) -> None:
     with tempfile.TemporaryDirectory() as kept:
-        found = work(tasks(plan, kept), progress)
+        found = pool.work(tasks(plan, kept), progress)
         progress("run times, alone")
-        times = work([ReportTask("run times", timing, (plan, kept))], progress)["run times"][0]
+        times = pool.work([pool.ReportTask("run times", timing, (plan, kept))], progress)["run times"][0]
     rigs = found["rig"]
-    raw = {key: joined(each[key] for each in rigs) for key in ("accuracy", "shifts", "diagrams", "second")}
+    raw = {key: pool.joined(each[key] for each in rigs) for key in ("accuracy", "shifts", "diagrams", "second")}
     results["accuracy"] = accuracies(raw["accuracy"], plan.names)
     results["shifts"] = shifts(raw["shifts"])
     results["diagrams"] = diagrams(raw["diagrams"])
     usual = [row for row in results["shifts"] if row["shift"] == NONE.name]
-    raw |= {key: joined(found[key]) for key in ("second estimates", "second variants")}
+    raw |= {key: pool.joined(found[key]) for key in ("second estimates", "second variants")}
     results["second"] = {
         "digest": SecondParameters().digest(),
         "models": second.table(raw["second"], usual),
@@ -296,13 +293,13 @@ def _measure(results: dict[str, Any], plan: TactilePlan, progress: Progress) -> 
     }
     results["trainers"] = {row["model"]: row for row in times["trainers"]}
     results["times"] = {
-        name: {row["target"]: row for row in each} for (name,), each in grouped(times["predictions"], "model")
+        name: {row["target"]: row for row in each} for (name,), each in formats.grouped(times["predictions"], "model")
     }
     results["generation_s"] = times["generation_s"]
     results["raw"] = raw
 
 
-def tasks(plan: TactilePlan, kept: str) -> list[ReportTask]:
+def tasks(plan: TactilePlan, kept: str) -> list[pool.ReportTask]:
     """Return all work except the run times, which need an idle computer."""
     found = []
     for rig in plan.rigs:
@@ -310,19 +307,19 @@ def tasks(plan: TactilePlan, kept: str) -> list[ReportTask]:
             first = (rig, seed) == (plan.rigs[0], plan.seeds[0])
             for part in SETS:
                 weight = len(SETS[part]) * (1.0 + 0.5 * len(plan.names))
-                found.append(ReportTask("rig", judge_rig, (rig, seed, part, plan, kept if first else ""), weight))
+                found.append(pool.ReportTask("rig", judge_rig, (rig, seed, part, plan, kept if first else ""), weight))
     for rig in plan.rigs:
-        found.append(ReportTask("second estimates", second.judge_estimates, (rig, plan.seeds[0], plan), 1.0))
+        found.append(pool.ReportTask("second estimates", second.judge_estimates, (rig, plan.seeds[0], plan), 1.0))
     for rig in plan.variant_rigs:
-        found.append(ReportTask("second variants", second.judge_variants, (rig, plan.seeds[0], plan), 2.0))
+        found.append(pool.ReportTask("second variants", second.judge_variants, (rig, plan.seeds[0], plan), 2.0))
     return found
 
 
 def accuracies(rows: Iterable[Row], names: Iterable[str]) -> dict[str, dict[str, Row]]:
     """Return mean accuracy with the half width of its 95 % interval (t over rigs; NaN of one), by model and target."""
     found: dict[str, dict[str, Row]] = {name: {} for name in names}
-    for (name, target), chosen in grouped(rows, "model", "target"):
-        means = [float(np.mean([row["accuracy"] for row in each])) for _, each in grouped(chosen, "rig")]
+    for (name, target), chosen in formats.grouped(rows, "model", "target"):
+        means = [float(np.mean([row["accuracy"] for row in each])) for _, each in formats.grouped(chosen, "rig")]
         fit = float(np.median([row["fit_s"] for row in chosen]))
         found[name][target] = {"mean": float(np.mean(means)), "half": _half(means), "fit_s": fit}
     return found
@@ -339,7 +336,7 @@ def _half(values: list[float]) -> float:
 def shifts(rows: Iterable[Row]) -> list[Row]:
     """Return means over rigs and seeds by model, target and shift, with the verdict."""
     found = []
-    for (model, target, shift), members in grouped(rows, "model", "target", "shift"):
+    for (model, target, shift), members in formats.grouped(rows, "model", "target", "shift"):
         means = {key: float(np.mean([row[key] for row in members])) for key in second.SHARES}
         windows = np.mean([row["windows"] for row in members], axis=0).tolist()
         error = _coverage_error(members)
@@ -362,7 +359,7 @@ def _coverage_error(members: list[Row]) -> float:
 def diagrams(rows: Iterable[Row]) -> dict[str, dict[str, Row]]:
     """Return the sums over rigs and seeds, by model and target."""
     found: dict[str, dict[str, Row]] = defaultdict(dict)
-    for (model, target), each in grouped(rows, "model", "target"):
+    for (model, target), each in formats.grouped(rows, "model", "target"):
         keys = ("count", "sure", "right", "matrix")
         found[model][target] = {key: np.sum([row[key] for row in each], axis=0).tolist() for key in keys}
     return dict(found)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Models of the first contact physics judged on the second: classifiers and pretrained estimates."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable, Iterable, Mapping
@@ -10,30 +8,25 @@ from typing import Any
 
 import numpy as np
 
-from deltacharger_core.arrays import Mask
-from deltacharger_core.machine import CONTACT_FORCE
+from deltacharger_core import arrays, machine
 from deltacharger_docking.clearance import CLEARANCE_SIGMAS, clearance
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_lab.reports.formats import grouped
 from deltacharger_lab.reports.tactile.plan import TactilePlan
-from deltacharger_lab.second.generator import JUST_NOW, dock_anew
-from deltacharger_lab.second.parameters import SecondParameters
-from deltacharger_lab.training import labels
-from deltacharger_lab.training.classifier import TrainableClassifier
-from deltacharger_lab.training.estimator import to_seat
-from deltacharger_lab.training.judgement import evaluate_classifier
+from deltacharger_lab.second import generator, parameters
+from deltacharger_lab.training import classifier, estimator, judgement, labels
 from deltacharger_sim.pads import generate_continuous
 from deltacharger_tactile import default_model
 from deltacharger_tactile.dataset import Dataset
 from deltacharger_tactile.estimator import THRESHOLD, Estimate
 
 Row = dict[str, Any]
-Models = Mapping[tuple[str, str], TrainableClassifier]
-Windows = Callable[[TrainableClassifier, labels.Examples], list[float]]
+Models = Mapping[tuple[str, str], classifier.TrainableClassifier]
+Windows = Callable[[classifier.TrainableClassifier, labels.Examples], list[float]]
 FIRST, SECOND = "first", "second"
 FRAMES = (12, 1)
 """Frames averaged in an estimate: the robot's number, and one."""
-CUTS = (THRESHOLD, CONTACT_FORCE)
+CUTS = (THRESHOLD, machine.CONTACT_FORCE)
 """Thresholds of the two pretrained estimates, N."""
 AXES = {"angle": (2, 180.0 / math.pi, "°"), "vertical": (1, 1e3, "mm"), "horizontal": (0, 1e3, "mm")}
 """Index of an axis in a pose, and the scale and unit of its errors."""
@@ -45,7 +38,9 @@ _COUNTED = ("n", "contact", "in_range", "sure", "drift", "acts", "unsafe")
 SHARES = ("accuracy", "coverage", "act_rate", "drift_rate")
 
 
-def judge_models(models: Models, known: Dataset, rows: Mask, device: tuple[int, int], windows: Windows) -> list[Row]:
+def judge_models(
+    models: Models, known: Dataset, rows: arrays.Mask, device: tuple[int, int], windows: Windows
+) -> list[Row]:
     """Judge models of one rig by dockings of the second physics.
 
     Args:
@@ -56,11 +51,13 @@ def judge_models(models: Models, known: Dataset, rows: Mask, device: tuple[int, 
         windows: shares of windows of dockings that differ from training.
     """
     columns = {item.name: getattr(known, item.name) for item in dataclasses.fields(Dataset) if item.name != "meta"}
-    fresh = dock_anew(Dataset(meta=known.meta, **{name: each[rows] for name, each in columns.items()}), device[1])
+    fresh = generator.dock_anew(
+        Dataset(meta=known.meta, **{name: each[rows] for name, each in columns.items()}), device[1]
+    )
     found = []
     for (name, target), model in models.items():
         judged = labels.examples(fresh, target)
-        result = evaluate_classifier(model, judged)
+        result = judgement.evaluate_classifier(model, judged)
         kept = {key: result[key] for key in SHARES}
         where = {"rig": device[0], "seed": device[1], "target": target, "model": name}
         found.append({**where, **kept, "windows": windows(model, judged)})
@@ -83,7 +80,7 @@ def judge_estimates(rig: int, seed: int, plan: TactilePlan) -> list[Row]:
     found = []
     for frames in FRAMES:
         known = generate_continuous(rigs=(rig,), count=plan.second_count, seed=seed, frames=frames, threshold=0.0)
-        sets = {FIRST: known, SECOND: dock_anew(known, seed, frames, since_tare=JUST_NOW)}
+        sets = {FIRST: known, SECOND: generator.dock_anew(known, seed, frames, since_tare=generator.JUST_NOW)}
         for cut in CUTS:
             for physics, data in sets.items():
                 about = {"physics": physics, "threshold": cut, "frames": frames}
@@ -95,16 +92,19 @@ def judge_variants(rig: int, seed: int, plan: TactilePlan) -> list[Row]:
     """Count the same for the packaged estimate on families without single laws of the second physics."""
     known = generate_continuous(rigs=(rig,), count=plan.second_count, seed=seed, frames=FRAMES[0], threshold=0.0)
     return [
-        {"variant": name, **_counts(dock_anew(known, seed, FRAMES[0], 0.0, JUST_NOW, family), THRESHOLD)}
+        {
+            "variant": name,
+            **_counts(generator.dock_anew(known, seed, FRAMES[0], 0.0, generator.JUST_NOW, family), THRESHOLD),
+        }
         for name, family in variants().items()
     ]
 
 
-def variants() -> dict[str, SecondParameters]:
+def variants() -> dict[str, parameters.SecondParameters]:
     """Return families of the second physics that lack a law, by name."""
-    base = SecondParameters()
+    base = parameters.SecondParameters()
 
-    def other(**groups: dict[str, Any]) -> SecondParameters:
+    def other(**groups: dict[str, Any]) -> parameters.SecondParameters:
         changed = {name: dataclasses.replace(getattr(base, name), **values) for name, values in groups.items()}
         return dataclasses.replace(base, **changed)
 
@@ -136,7 +136,7 @@ def _counts(data: Dataset, cut: float) -> Row:
     result = model.predict(left, right)
     used, sure = np.asarray(result.in_range), np.asarray(result.sure)
     acts = _acts(result)
-    _, across, angle = to_seat(truth).T
+    _, across, angle = estimator.to_seat(truth).T
     short = _clearances(angle, across) < 0.0
     found: Row = {
         "n": len(data), "contact": int(np.sum(result.contact)), "in_range": int(used.sum()), "sure": int(sure.sum()),

@@ -6,8 +6,6 @@ random place on the bars or beside them. All ranges are assumed. Frame: the term
 the plate, touched faces at z = 0).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math

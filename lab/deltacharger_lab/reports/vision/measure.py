@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Results of the detector on images of one kind, image by image, and its run time."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import time

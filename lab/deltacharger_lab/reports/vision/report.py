@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measures the electrode detector on simulated images and writes the report: figures as JSON, a page, pictures."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -18,22 +16,7 @@ from deltacharger_lab.campaigns.summary import quantiles, upper_bound
 from deltacharger_lab.plotting import note, picture, plain_ticks, top_legend
 from deltacharger_lab.reports.pool import ReportTask, work
 from deltacharger_lab.reports.report import Progress, Report, at_least, at_most
-from deltacharger_lab.reports.vision import conditions
-from deltacharger_lab.reports.vision.conditions import (
-    ALARMS,
-    BAND,
-    BY_RANGE,
-    CLEAR,
-    CONDITIONS,
-    DEFECTS,
-    HIDDEN,
-    OBSTRUCTED,
-    SIZE,
-    Condition,
-    key,
-    members,
-)
-from deltacharger_lab.reports.vision.measure import FIELDS, LEVELS, MOUNT_FIELDS, judge, judge_mount, times
+from deltacharger_lab.reports.vision import conditions, measure
 
 FULL, QUICK = 150, 15
 """Images of a usual row."""
@@ -66,10 +49,12 @@ class VisionPlan:
         """Seed of the first image of every row."""
         return FIRST_SEED + _SEEDS_APART * self.seed
 
-    def conditions(self) -> list[Condition]:
+    def conditions(self) -> list[conditions.Condition]:
         """Return the rows that can be measured here."""
         return [
-            each for each in CONDITIONS.values() if not (each.renderer == conditions.MUJOCO and "mujoco" in self.absent)
+            each
+            for each in conditions.CONDITIONS.values()
+            if not (each.renderer == conditions.MUJOCO and "mujoco" in self.absent)
         ]
 
     def count(self, weight: float) -> int:
@@ -86,10 +71,10 @@ class VisionPlan:
         for each in self.conditions():
             cost = 4.0 if each.renderer == conditions.MUJOCO else _SIZE_WEIGHT.get(each.name, 1.0)
             for part in _chunks(self.seeds(self.count(each.weight))):
-                found.append(ReportTask("images", judge, (key(each), part), cost * len(part)))
-        for level in LEVELS:
+                found.append(ReportTask("images", measure.judge, (conditions.key(each), part), cost * len(part)))
+        for level in measure.LEVELS:
             for part in _chunks(self.seeds(self.count(4 / 3))):
-                found.append(ReportTask("mount", judge_mount, (level, part), float(len(part))))
+                found.append(ReportTask("mount", measure.judge_mount, (level, part), float(len(part))))
         return found
 
     def timing(self) -> ReportTask:
@@ -98,9 +83,11 @@ class VisionPlan:
         names += [f"{conditions.DEFECTS}: {conditions.ALONE}"]
         names += [f"{conditions.ALARMS}: {name}" for name in (conditions.CLUTTER, conditions.CLUTTER_FLAT)]
         names += [
-            key(each) for each in self.conditions() if each.group == conditions.RENDERERS and "docking" in each.name
+            conditions.key(each)
+            for each in self.conditions()
+            if each.group == conditions.RENDERERS and "docking" in each.name
         ]
-        return ReportTask("run times", times, (names, self.seeds(_TIMED[self.quick])))
+        return ReportTask("run times", measure.times, (names, self.seeds(_TIMED[self.quick])))
 
 
 def plan(images: int | None, seed: int, quick: bool) -> VisionPlan:
@@ -138,7 +125,7 @@ _ERRORS = {
 
 def _range(results: dict[str, Any], path: Path) -> None:
     about = _ABOUT + "640 × 400 px, exact intrinsics; no depth below 0.174 m; the target is for the 95 %"
-    rows = [(each.away, results["rows"][key(each)]) for each in members(BY_RANGE)]
+    rows = [(each.away, results["rows"][conditions.key(each)]) for each in conditions.members(conditions.BY_RANGE)]
     with picture(path, 11.0, 4.6, "Error against range", about) as figure:
         panels = figure.subplots(1, 3)
         for axes, (name, (title, unit, target)) in zip(panels, _ERRORS.items(), strict=True):
@@ -146,7 +133,7 @@ def _range(results: dict[str, Any], path: Path) -> None:
             for share, colour, text in ((95, ORANGE, "95 %"), (50, BLUE, "median")):
                 values = [row[f"{name}_p{share}"] for _, row in rows]
                 axes.plot(away, values, "o-", color=colour, linewidth=1.6, markersize=4.5, label=text)
-            axes.plot(BAND, [target] * 2, color=RED, linewidth=1.3, linestyle=(0, (4, 3)), label="target")
+            axes.plot(conditions.BAND, [target] * 2, color=RED, linewidth=1.3, linestyle=(0, (4, 3)), label="target")
             axes.set_yscale("log")
             plain_ticks(axes)
             axes.set(title=f"{title}, {unit}", xlabel="range, m", xlim=(0.1, 1.05))
@@ -154,9 +141,14 @@ def _range(results: dict[str, Any], path: Path) -> None:
 
 
 def _found(results: dict[str, Any], path: Path) -> None:
-    rows = [each for group in (DEFECTS, HIDDEN) for each in members(group) if key(each) in results["rows"]]
+    rows = [
+        each
+        for group in (conditions.DEFECTS, conditions.HIDDEN)
+        for each in conditions.members(group)
+        if conditions.key(each) in results["rows"]
+    ]
     about = _ABOUT + "0.2–0.8 m, hidden bars 0.2–0.6 m; share of images in which the electrodes were found"
-    figures = [results["rows"][key(each)] for each in rows]
+    figures = [results["rows"][conditions.key(each)] for each in rows]
     found, wrong = (np.array([100.0 * each[name] / each["images"] for each in figures]) for name in ("found", "wrong"))
     with picture(path, 9.0, 1.15 + 0.225 * len(rows), "Found share under each defect", about) as figure:
         axes, lines = figure.subplots(), range(len(rows))
@@ -175,8 +167,8 @@ def _error_time(results: dict[str, Any], path: Path) -> None:
         panels = figure.subplots(1, 2)
         for axes, name in zip(panels, ("xy_mm", "z_mm"), strict=True):
             title, unit, target = _ERRORS[name]
-            for number, each in enumerate(members(SIZE)):
-                row, time = results["rows"][key(each)], results["times"][key(each)]["median_ms"]
+            for number, each in enumerate(conditions.members(conditions.SIZE)):
+                row, time = results["rows"][conditions.key(each)], results["times"][conditions.key(each)]["median_ms"]
                 low, high = row[f"{name}_p50"], row[f"{name}_p95"]
                 axes.plot([time] * 2, [low, high], color=FAINT, linewidth=1.4, zorder=2)
                 axes.plot(time, low, "o", color=BLUE, markersize=7, zorder=3, label="median")
@@ -241,11 +233,11 @@ def _measure(results: dict[str, Any], plan: VisionPlan, progress: Progress) -> N
     images, mounts = gathered(found["images"]), gathered(found["mount"])
     results["rows"] = {name: row(each) for name, each in images.items()}
     results["band"] = row(band(images))
-    for group in (OBSTRUCTED, CLEAR):
-        parts = [images[conditions.key(each)] for each in members(group) if conditions.key(each) in images]
+    for group in (conditions.OBSTRUCTED, conditions.CLEAR):
+        parts = [images[conditions.key(each)] for each in conditions.members(group) if conditions.key(each) in images]
         results[group] = row([image for part in parts for image in part])
-    results["mount"] = {name: row(each, MOUNT_FIELDS) for name, each in mounts.items()}
-    results["raw"] = {"fields": FIELDS, "images": images, "mount_fields": MOUNT_FIELDS, "mount": mounts}
+    results["mount"] = {name: row(each, measure.MOUNT_FIELDS) for name, each in mounts.items()}
+    results["raw"] = {"fields": measure.FIELDS, "images": images, "mount_fields": measure.MOUNT_FIELDS, "mount": mounts}
 
 
 def gathered(parts: Iterable[tuple[str, list[list[float]]]]) -> dict[str, list[list[float]]]:
@@ -256,7 +248,7 @@ def gathered(parts: Iterable[tuple[str, list[list[float]]]]) -> dict[str, list[l
     return found
 
 
-def row(images: Sequence[Sequence[float]], fields: Sequence[str] = FIELDS) -> dict[str, Any]:
+def row(images: Sequence[Sequence[float]], fields: Sequence[str] = measure.FIELDS) -> dict[str, Any]:
     """Return the summary of images (N, fields) of one kind; `found` counts right detections."""
     table = np.array(images, dtype=float).reshape(-1, len(fields))
     column = dict(zip(fields, table.T, strict=True))
@@ -295,16 +287,23 @@ def band(images: dict[str, list[list[float]]]) -> list[list[float]]:
 
 
 def _near() -> list[str]:
-    return [conditions.key(each) for each in members(BY_RANGE) if BAND[0] <= each.away <= BAND[1]]
+    return [
+        conditions.key(each)
+        for each in conditions.members(conditions.BY_RANGE)
+        if conditions.BAND[0] <= each.away <= conditions.BAND[1]
+    ]
 
 
 def targets(results: dict[str, Any]) -> list[dict[str, Any]]:
     """Return each target with its measured value and verdict."""
     band_row, rows = results["band"], results["rows"]
-    half, alarms = rows[f"{HIDDEN}: {conditions.HALF_HIDDEN}"], rows[f"{ALARMS}: {conditions.CLUTTER}"]
-    hidden, clear = results[OBSTRUCTED], results[CLEAR]
+    half, alarms = (
+        rows[f"{conditions.HIDDEN}: {conditions.HALF_HIDDEN}"],
+        rows[f"{conditions.ALARMS}: {conditions.CLUTTER}"],
+    )
+    hidden, clear = results[conditions.OBSTRUCTED], results[conditions.CLEAR]
     slowest = max(results["times"][name]["median_ms"] for name in _near())
-    where = f"{BAND[0]:g}–{BAND[1]:g} m"
+    where = f"{conditions.BAND[0]:g}–{conditions.BAND[1]:g} m"
     return [
         at_least(f"{where}, electrodes found", 100.0 * band_row["found"] / band_row["images"], 99.0, "%"),
         at_most(f"{where}, wrong", 100.0 * band_row["wrong"] / band_row["images"], 0.2, "%"),
