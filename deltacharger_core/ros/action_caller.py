@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The client's side of an action: a goal and its end, whether the server answers, and calls that never wait."""
 
+from __future__ import annotations
+
 import math
 import threading
 import time

@@ -9,6 +9,8 @@ The client has its own small node and executor, so it works in any program::
         print(outcome.success, outcome.error_message)
 """
 
+from __future__ import annotations
+
 import math
 import threading
 import time

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Executor of a node: one thread for messages and timers, and workers for callbacks that may wait."""
 
+from __future__ import annotations
+
 import atexit
 import contextlib
 import functools

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of a node: declared, set by a file of measured servos, changed while it runs, and work at such a rate."""
 
+from __future__ import annotations
+
 import contextlib
 import math
 import sys

@@ -24,6 +24,8 @@ it to close, only the sender that last moved the arm with the contactor open may
 continues.
 """
 
+from __future__ import annotations
+
 import contextlib
 import math
 import threading

@@ -4,6 +4,8 @@
 The real docking_node docks on mocks. The laws are in test/mission/test_mission.py, in virtual time.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """On-demand subscriptions work only when asked; an answer arrives even late; what is unknown is NaN."""
 
+from __future__ import annotations
+
 import math
 from typing import Any
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs the missing dockings of a campaign: in this process, or in local ones."""
 
+from __future__ import annotations
+
 import contextlib
 import itertools
 import math
