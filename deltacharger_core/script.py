@@ -108,7 +108,7 @@ class Calls(Generic[R]):
                 self.open.discard(reply.number)
                 self._replies[reply.number] = reply
 
-    def take(self, number: int) -> R | None:
+    def take_reply(self, number: int) -> R | None:
         """Remove and return the reply of a request; None = none yet."""
         return self._replies.pop(number, None)
 

@@ -69,7 +69,7 @@ def align(
         stay: they have been aligned before and may rest where they are, if they have clearance there.
         estimate: estimate of the first touch, which forbade pressing further; None = the electrodes already press.
     """
-    target.begin()
+    target.begin_goal()
     while True:
         estimate = estimate or (yield from touch.measure(context))  # 5
         if target.allows_rest(estimate, stay) and (yield from stands_at_ease(context, target)):

@@ -273,7 +273,7 @@ def clearance_checks(context: Context, order: Order, target: touch.Target) -> Sc
     unsafe = blind = 0
     while True:
         yield from context.wait(CLEARANCE_PERIOD)
-        context.evidence.begin()
+        context.evidence.begin_contact()
         reply = yield from context.ask(
             observation.Service.ESTIMATE, codes.TactileStale, touch.MEASURE_TIMEOUT, _CLEARANCE_FRAMES
         )

@@ -186,7 +186,7 @@ class Evidence:
         """Forget the last measurement: the arm moves."""
         self._frames = self.place = self._pattern = self._last = None
 
-    def begin(self) -> None:
+    def begin_contact(self) -> None:
         """Begin a measurement: the frames that follow belong to it. The last one counts until it ends."""
         self._frames = []
 

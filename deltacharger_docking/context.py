@@ -347,7 +347,7 @@ class Context:
         self._request(Request(number, service, frames, timeout))
         end = self.time + timeout
         with self.waiting_for(service.value):
-            while (reply := self._calls.take(number)) is None:
+            while (reply := self._calls.take_reply(number)) is None:
                 if self.time > end:
                     raise error(f"no answer from {service.value} within {timeout:.1f} s; is its node running?")
                 yield script.Wait(end)

@@ -115,7 +115,7 @@ class DockingMachine:
         self._open(goal.request_id, observation)
         self._record_goal(goal)
         if self._is_supervising and self._docking is not None:
-            self._refusal = self._docking.take(goal)
+            self._refusal = self._docking.take_goal(goal)
             return
         self._docking = docking = TargetVisit(self._context, self, goal)
         self._runner.start(self._serve(docking.run))
@@ -372,7 +372,7 @@ class TargetVisit:
         self._doubts = 0  # measurements that did not last
         self.supervising = False
 
-    def take(self, goal: DockGoal) -> codes.DockingError | None:
+    def take_goal(self, goal: DockGoal) -> codes.DockingError | None:
         """Accept a further goal; return why it ends the visit, if it does.
 
         The lowest critical angle of all goals on this target applies, and supervision continues.

@@ -36,7 +36,7 @@ def measure(context: Context) -> script.Script[clearance.MisalignmentEstimate]:
     context.enter(codes.State.MEASURE, MEASURE_TIMEOUT)
     context.doubt, context.doubtful = "", context.observation.duplicate_sources
     context.evidence.forget()
-    context.evidence.begin()
+    context.evidence.begin_contact()
     reply = yield from context.ask(observation.Service.ESTIMATE, codes.TactileStale, SERVICE_TIMEOUT, ESTIMATE_FRAMES)
     estimate = reply.estimate
     if not reply.success or estimate is None:
@@ -136,9 +136,9 @@ class Target:
         self.depth = math.inf
         self.place = TargetPlace(context.parameters, context.share)
         self._estimated_here = False  # this contact has been used
-        self.begin()
+        self.begin_goal()
 
-    def begin(self) -> None:
+    def begin_goal(self) -> None:
         """Reset what earlier goals counted; the target's place stays known."""
         self._angles: list[float] = []
         self._passed = 0  # contacts in a row that leave clearance

@@ -173,7 +173,7 @@ class Stand:
         self._brakes = force
         self._farthest = self._play + force / self._stiffness  # m of the body from its braked wheels
 
-    def begin(self, dt: float) -> float:
+    def begin_step(self, dt: float) -> float:
         """Begin a step of `dt` s and return its first guess of `move`."""
         way = self._speed * dt
         self._dt, self.move = dt, way if not -_REST < way < _REST else 0.0
@@ -422,7 +422,7 @@ class Mechanics(motion.Motion):
             enough = _REST_ENOUGH
         best, least, moved, best_move = (dx, dy, dz), math.inf, 0.0, 0.0
         if self._stand is not None:
-            moved = best_move = self._stand.begin(dt)
+            moved = best_move = self._stand.begin_step(dt)
         for iteration in range(_ITERATIONS):
             fx, fy, fz, xx, xy, xz, yy, yz, zz = self._evaluate(joints, dx, dy, dz, dt)
             size = fx * fx + fy * fy + fz * fz

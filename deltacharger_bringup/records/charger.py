@@ -70,7 +70,7 @@ class SessionKeeper:
         self._writer = ThreadPoolExecutor(1, "writer")
         self._writing: Future[Docking] | None = None
 
-    def begin(self, number: int) -> None:
+    def begin_docking(self, number: int) -> None:
         """Note which docking begins."""
         self._number = self._numbers[number]
 
@@ -285,7 +285,7 @@ class RecordingCharger(arm_client.ArmGuest):
         return outcome
 
     def _observe(self) -> Observation:
-        replies, _ = self._calls.take()
+        replies, _ = self._calls.take_replies()
         return self._inputs.observation(replies)
 
     def _carry_out(self, command: Command, observation: Observation) -> None:

@@ -131,7 +131,7 @@ class Rested:
 class Keeper(Protocol):
     """Stores the measurements; its methods return at once."""
 
-    def begin(self, number: int) -> None:
+    def begin_docking(self, number: int) -> None:
         """Docking `number` of the session (from 0) begins."""
 
     def start_frames(self) -> None:
@@ -191,7 +191,7 @@ class TouchSession:
         """
         yield from algorithm.prepare(context)
         for number, command in enumerate(self.commands):
-            self.keeper.begin(number)
+            self.keeper.begin_docking(number)
             yield from _go_before(context, command)
             place = command
             if self.look:

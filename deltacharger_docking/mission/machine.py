@@ -324,7 +324,7 @@ class MissionMachine:
     def _ask(self, task: dialogue.Task, **details: Place | bool) -> script.Script[dialogue.TaskReply]:
         """Send a request and wait for its reply; the stage's limit ends the wait."""
         number = self._send(task, **details)
-        while (reply := self._calls.take(number)) is None:
+        while (reply := self._calls.take_reply(number)) is None:
             yield script.NEXT
         return reply
 
@@ -358,7 +358,7 @@ class MissionMachine:
         """
         number = self._send(dialogue.Task.DETECT, timeout=LOOK_TIMEOUT)
         end = self._time + LOOK_TIMEOUT + _ANSWER
-        while (reply := self._calls.take(number)) is None and self._time <= end:
+        while (reply := self._calls.take_reply(number)) is None and self._time <= end:
             yield script.NEXT
         if reply is None or reply.end is dialogue.End.LOST:
             raise codes.ElectrodesNotFound(
@@ -375,7 +375,7 @@ class MissionMachine:
         number = self._send(dialogue.Task.DOCK, goal=goal)
         self._touched = True
         rests = False
-        while (reply := self._calls.take(number)) is None:
+        while (reply := self._calls.take_reply(number)) is None:
             docking = self._observation.docking
             if not rests and docking is not None and (docking.charging or docking.rests):
                 self._enter(

@@ -188,7 +188,7 @@ class DockingNode(Node):
     # The loop.
 
     def _observe(self) -> Observation:
-        return self._inputs.observation(*self._calls.take())
+        return self._inputs.observation(*self._calls.take_replies())
 
     def _loop(self) -> None:
         while not self._stopping.is_set():
@@ -318,7 +318,7 @@ class DockingNode(Node):
                 start(order, seen)
                 self._goal = goal
                 self._torque_off_at = math.inf
-                self._reports.phases.begin(texts.titled(name, request.request_id), _as_text(order))
+                self._reports.phases.begin_goal(texts.titled(name, request.request_id), _as_text(order))
                 self._reports.show(self._machine.status)
                 self._hand_over()
             except codes.DockingError:

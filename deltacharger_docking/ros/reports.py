@@ -131,7 +131,7 @@ class PhaseLog:
         self._log, self._title = log, ""
         self.phase, self._since, self._code = phase, math.nan, Code.NONE
 
-    def begin(self, title: str, wish: str = "") -> None:
+    def begin_goal(self, title: str, wish: str = "") -> None:
         """Log that a goal was accepted, with its request as text."""
         self._title, self._code = title, Code.NONE
         self._log.info(f"{title}: accepted{wish and f', {wish}'}")

@@ -117,7 +117,7 @@ class Services:
         future = client.call_async(client.srv_type.Request(**fields.get(request.service, {})))
         future.add_done_callback(lambda done: self._answer(request, asked, done))
 
-    def take(self) -> tuple[tuple[observation.Reply, ...], str]:
+    def take_replies(self) -> tuple[tuple[observation.Reply, ...], str]:
         """Return the replies since the last call, and why the contactor was refused ('' = it was not)."""
         self._deliver()
         with self._lock:

@@ -132,7 +132,7 @@ class ContactorLease:
         if problem:
             raise LeaseRefused(problem)
 
-    def take(
+    def grant(
         self, holder: str, duration: float, now: float, token: str = "", limits: ChargeLimits | None = None
     ) -> float:
         """Grant or renew the lease.
@@ -298,7 +298,7 @@ class ContactorGuard:
                 now = self._clock()
                 renewal = self._lease.is_live(now)
                 self._check(holder, duration, token, limits, now)
-                until = self._lease.take(holder, duration, now, token, limits)
+                until = self._lease.grant(holder, duration, now, token, limits)
                 openings = self._lease.openings
                 if not renewal:
                     self._was_closed = False  # until the board reports it, pre-charge runs

@@ -80,7 +80,7 @@ def answer(faults: Faults, request: Any) -> Answer:
             fault = from_mapping({key: value for key, value in request.items() if key != "command"}, Fault)
         except ParameterError as error:
             return {"success": False, "error": str(error)}
-        faults.begin(fault)
+        faults.begin_fault(fault)
     elif command == "clear":
         faults.clear()
     elif command != "active":

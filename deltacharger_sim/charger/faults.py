@@ -334,9 +334,9 @@ class Faults:
         self._thread: threading.Thread | None = None
         start = clock()
         for fault in scheduled:
-            self._plan(start + fault.at, fault.kind, functools.partial(self.begin, fault))
+            self._plan(start + fault.at, fault.kind, functools.partial(self.begin_fault, fault))
 
-    def begin(self, fault: Fault) -> None:
+    def begin_fault(self, fault: Fault) -> None:
         """Cause a fault now, regardless of its `at`; it ends after its `last`, or with `clear`."""
         kind = KINDS[fault.kind]
         with self._condition:

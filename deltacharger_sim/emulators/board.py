@@ -172,7 +172,7 @@ class BoardServos:
         if self._bus is not None:
             self._received += self._bus.receive(data, now)
 
-    def take(self, now: float) -> list[bytes]:
+    def take_bytes(self, now: float) -> list[bytes]:
         """Return the bytes from the servos, cut into pieces that fit a packet."""
         if self._bus is not None:
             self._received += self._bus.poll(now)
@@ -316,7 +316,7 @@ class BoardEmulator:
             missed = math.floor((now - self._next_power) * protocol.POWER_RATE)
             self._next_power += (missed + 1) / protocol.POWER_RATE
             self._queue(protocol.PacketType.POWER, now, protocol.encode_power(self._power.report()))
-        for data in self.servos.take(now):
+        for data in self.servos.take_bytes(now):
             self._queue(protocol.PacketType.SERVO, now, data)
         return True
 

@@ -85,7 +85,7 @@ class MockPower:
         Raises:
             LeaseRefused: by the lease.
         """
-        self.lease.take(holder, duration, now, token, limits)
+        self.lease.grant(holder, duration, now, token, limits)
         self._current_max = (0.0 if limits is None else limits.current) or self._current_max
         self.closed = True
 

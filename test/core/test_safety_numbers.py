@@ -402,7 +402,7 @@ ANSWERS = (
 def leases(duration: float, after: float = 0.0) -> bool:
     lease = contactor.ContactorLease()
     lease.probed(NAN, 24.0, 0.0)
-    return passes(lambda: lease.take("docking", duration, 0.0, limits=LIMITS)) and lease.is_live(after)
+    return passes(lambda: lease.grant("docking", duration, 0.0, limits=LIMITS)) and lease.is_live(after)
 
 
 def guard(newton: float = 1.0, fault: int = 0, power_age: float = 0.0, frame_age: float = 0.0, **probe: float) -> Any:

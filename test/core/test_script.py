@@ -35,7 +35,7 @@ def test_only_the_first_reply_to_an_awaited_request_is_used() -> None:
     calls: Calls[Reply] = Calls()
     asked, unawaited = calls.number(), calls.number(awaited=False)
     calls.receive([Reply(unawaited), Reply(asked, "first"), Reply(asked, "second"), Reply(99)])
-    assert calls.take(asked) == Reply(asked, "first")
-    assert calls.take(asked) is None
-    assert calls.take(unawaited) is None
-    assert calls.take(99) is None
+    assert calls.take_reply(asked) == Reply(asked, "first")
+    assert calls.take_reply(asked) is None
+    assert calls.take_reply(unawaited) is None
+    assert calls.take_reply(99) is None

@@ -174,7 +174,7 @@ def services(node: Node) -> Services:
 
 def reply(services: Services) -> observation.Reply:
     found: list[observation.Reply] = []
-    wait_until(lambda: found.extend(services.take()[0]) or found, "a reply")
+    wait_until(lambda: found.extend(services.take_replies()[0]) or found, "a reply")
     return found[0]
 
 
@@ -182,7 +182,7 @@ def reply(services: Services) -> observation.Reply:
 @pytest.mark.version
 def test_a_service_that_appears_after_the_call_is_used(node: Node, services: Services) -> None:
     services.call(observation.Request(7, observation.Service.TARE))
-    assert services.take() == ((), "")
+    assert services.take_replies() == ((), "")
 
     def tare(request: Any, response: Any) -> Any:
         response.success, response.message = True, "tared" + 1_000_000 * "!"
@@ -213,14 +213,14 @@ def test_torque_on_never_overtakes_torque_off_when_servo_node_appears_late(node:
     received = serve_torque(node)
     wait_until(services._clients[observation.Service.TORQUE_ON].service_is_ready, "the service")
     services.call(observation.Request(2, observation.Service.TORQUE_OFF))
-    wait_until(lambda: services.take() and len(received) == 2, "both calls")
+    wait_until(lambda: services.take_replies() and len(received) == 2, "both calls")
     assert received == [True, False]
 
 
 def test_a_failure_is_a_warning_and_a_cancel_none() -> None:
     lines, warnings = list[str](), list[str]()
     log = PhaseLog(SimpleNamespace(info=lines.append, warning=warnings.append), codes.State.IDLE)  # type: ignore[arg-type]
-    log.begin("dock order-1")
+    log.begin_goal("dock order-1")
     for code in (codes.Code.NO_CONTACT, codes.Code.NO_CONTACT, codes.Code.NONE, codes.Code.CANCELED):
         log.show(SimpleNamespace(code=code, message="why"), (), 0.0)
     assert warnings == ["dock order-1: 302 NO_CONTACT: why"]

@@ -327,7 +327,7 @@ def test_a_close_without_valid_limits_is_refused_by_name(limits: ChargeLimits | 
     lease = ContactorLease()
     lease.probed(math.nan, 24.0, 0.0)
     with pytest.raises(LeaseRefused, match=reason):
-        lease.take("dock", LEASE, 0.1, limits=limits)
+        lease.grant("dock", LEASE, 0.1, limits=limits)
 
 
 @pytest.mark.parametrize(
@@ -349,4 +349,4 @@ def test_a_close_needs_the_port_that_its_limits_expect(
         lease = ContactorLease()
         lease.probed(resistance, voltage, 0.0)
         with contextlib.nullcontext() if allowed else pytest.raises(LeaseRefused):
-            lease.take("dock", LEASE, 0.1, limits=LIMITS._replace(dead=expects_dead))
+            lease.grant("dock", LEASE, 0.1, limits=LIMITS._replace(dead=expects_dead))

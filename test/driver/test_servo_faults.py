@@ -37,7 +37,7 @@ def test_every_fault_stops_a_moving_arm_by_its_rules_or_is_borne(rig: Rig, row: 
     rig.send((6.0, (0.3, 0.5, 1.2)))
     until(lambda report: rig.references()[0] > -0.6)
     began, count = rig.clock(), int(values.get(row.counted, 0))
-    faults.begin(Fault(kind=row.kind, servo=row.servo, amount=row.amount))
+    faults.begin_fault(Fault(kind=row.kind, servo=row.servo, amount=row.amount))
     if not row.torque_off:
         before = rig.references()[0]
         until(lambda report: rig.clock() > began + 2.0)

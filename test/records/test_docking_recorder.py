@@ -38,7 +38,7 @@ def play(recorder: docking_recorder.DockingRecorder, messages: Iterable[mcap_fil
     now = 0.0
     for message in messages:
         now = (message.received - BEGAN) * 1e-9
-        recorder.take(now, message)
+        recorder.take_message(now, message)
         recorder.tick(now, alive=True)
     return now
 

@@ -38,7 +38,7 @@ class Ear:
         self._number = -1
         self._truth: Snapshot | None = None
 
-    def begin(self, number: int) -> None:
+    def begin_docking(self, number: int) -> None:
         self._number = number
 
     def start_frames(self) -> None:

@@ -87,7 +87,7 @@ def test_fault(charger: Any, row: Row) -> None:
     charger.charge()
     count, first, began, at = told.count(row), len(world.events), time.monotonic(), world.time
     record.peak_push, push, lost = 0.0, world.push(), record.unpowered_live
-    faults.begin(Fault(kind=row.kind, servo=row.servo, amount=row.amount))
+    faults.begin_fault(Fault(kind=row.kind, servo=row.servo, amount=row.amount))
     try:
         for servo in row.unknown:
             wait_until(lambda servo=servo: math.isnan(charger.servos.position[servo - 1]), "NaN")  # type: ignore[misc]

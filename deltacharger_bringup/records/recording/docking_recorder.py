@@ -132,7 +132,7 @@ class DockingRecorder:
         self._code = 0  # last error code of docking_state in this record
         self._flushed = self._pruned = 0.0
 
-    def take(self, now: float, message: mcap_file.Raw) -> None:
+    def take_message(self, now: float, message: mcap_file.Raw) -> None:
         """Take one message; an unreadable one, as a foreign node may send it, is left out."""
         body: Any = None
         if message.topic in (self._state, self._decision):

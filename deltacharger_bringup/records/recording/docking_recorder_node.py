@@ -80,7 +80,7 @@ class DockingRecorderNode(Node):
         self._thread.join(10.0)
 
     def _take(self, message: mcap_file.Raw) -> None:
-        self._recorder.take(time.monotonic() - real_time.HOST.age(1e-9 * message.received), message)
+        self._recorder.take_message(time.monotonic() - real_time.HOST.age(1e-9 * message.received), message)
         action = self._feedback.get(message.topic)
         if action is not None:
             self._ask_result(action, message.data[_ID])

@@ -87,7 +87,7 @@ def replay(path: Path, namespace: str = "") -> Replay:
         found, first = Replay(recording=recording), recording.file.first
         build = RunBuilder(found)
         build.use(*settings)
-        recording.read(lambda topic, time, message: build.take(topic, (time - first) * 1e-9, message))
+        recording.read(lambda topic, time, message: build.take_message(topic, (time - first) * 1e-9, message))
         found.damage = recording.damage
         found.results = [
             _outcome(files.parse_json(each["json"])) for each in recording.file.metadata_named(folder.RESULT)
@@ -179,6 +179,6 @@ class Recorder(client.Guest):
             now = self._now()
             with self._lock:
                 if not self._done:
-                    self._build.take(topic, now, message)
+                    self._build.take_message(topic, now, message)
 
         return on_message

@@ -206,7 +206,7 @@ class RunBuilder:
         """Set docking_node's settings; earlier servo_state is skipped."""
         self.run.parameters, self._delta = parameters, ScalarDelta(geometry)
 
-    def take(self, topic: str, time: float, message: Any) -> None:
+    def take_message(self, topic: str, time: float, message: Any) -> None:
         """Take a message of a topic, given by its relative name; topics that a run does not hold are ignored."""
         self._last = max(self._last, time)
         if topic in self.takers:

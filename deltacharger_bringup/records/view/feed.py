@@ -81,7 +81,7 @@ class ViewFeed:
             COLOR_IMAGE: lambda message, now: self._on_image("color", message),
         }
 
-    def take(self, topic: str, received: int, decode: Callable[[], Any]) -> None:
+    def take_message(self, topic: str, received: int, decode: Callable[[], Any]) -> None:
         """Take a message.
 
         Args:
@@ -217,7 +217,7 @@ class Listener(client.Guest):
         """Pass all messages since the last call to `feed`, in the order of arrival."""
         for message in self._topics.take_messages():
             topic = self._by_name[message.topic]
-            feed.take(topic.name, message.received, partial(deserialize_message, message.data, topic.kind))
+            feed.take_message(topic.name, message.received, partial(deserialize_message, message.data, topic.kind))
 
 
 def play(recording: recorded.Recording, feed: ViewFeed, stop: Callable[[], bool]) -> None:
@@ -229,6 +229,6 @@ def play(recording: recorded.Recording, feed: ViewFeed, stop: Callable[[], bool]
     for topic, received, data in recording.messages():
         if stop():
             return
-        feed.take(topic.name, received, partial(recorded.decode, data, topic.kind))
+        feed.take_message(topic.name, received, partial(recorded.decode, data, topic.kind))
     if recording.damage:
         raise RecordingError(f"{recording.path}: {recording.damage}")

@@ -60,7 +60,7 @@ class _Mission(action_server.Work):
         super().__init__(handle)
         self.docked = docked  # the result of its last docking
         self.log = PhaseLog(log, dialogue.Stage.WAIT)
-        self.log.begin(texts.titled("charge_robot", handle.request.request_id))
+        self.log.begin_goal(texts.titled("charge_robot", handle.request.request_id))
         self.is_canceled = False  # the machine knows it
 
 

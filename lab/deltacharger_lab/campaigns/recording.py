@@ -93,7 +93,7 @@ class _Keeper:
         self._since = 0.0
         self._sensed: dict[str, Any] = {}
 
-    def begin(self, number: int) -> None:
+    def begin_docking(self, number: int) -> None:
         self.number = self.numbers[number]
 
     def start_frames(self) -> None:

@@ -22,7 +22,7 @@ from deltacharger_core import environment, files
 from deltacharger_lab.campaigns.docking import columns
 from deltacharger_lab.campaigns.scene import CampaignScene, parse_campaign_scene
 
-_COMPUTES = ("core", "kinematics", "driver", "sim", "docking", "tactile", "lab.campaigns", "lab.second")
+_COMPUTES = ("core", "kinematics", "driver", "sim", "docking", "tactile", "lab.campaigns", "lab.second", "lab.training")
 """Packages, deltacharger_…, with the code and models that decide a docking."""
 
 
